@@ -94,7 +94,7 @@ class Report {
   }
 
  private:
-  std::vector<Result> Of(const std::string& kind) const {
+  std::vector<Result> ResultsOf(const std::string& kind) const {
     std::vector<Result> found;
     for (const Result& result : results_) {
       if (!result.parts.empty() && result.parts[0] == kind) found.push_back(result);
@@ -116,7 +116,7 @@ class Report {
     *out << "Two balls, 480 steps, 960 controls, one core:\n\n"
             "| contact model | rollout and loss (us) | with gradient (us) | ratio | rollout, `direct` = 1 |\n"
             "|---|---|---|---|---|\n";
-    const std::vector<Result> results = Of("Gradient");
+    const std::vector<Result> results = ResultsOf("Gradient");
     const auto direct =
         std::find_if(results.begin(), results.end(), [](const Result& r) { return r.parts[1] == "direct"; });
     for (const Result& result : results) {
@@ -133,7 +133,7 @@ class Report {
     *out << title << ", rollout / with gradient (ns):\n\n| contact model |";
     std::vector<std::string> names, sizes;
     std::map<std::pair<std::string, std::string>, Result> cells;
-    for (const Result& result : Of(kind)) {
+    for (const Result& result : ResultsOf(kind)) {
       if (std::find(names.begin(), names.end(), result.parts[1]) == names.end()) names.push_back(result.parts[1]);
       if (std::find(sizes.begin(), sizes.end(), result.parts[2]) == sizes.end()) sizes.push_back(result.parts[2]);
       cells[{result.parts[1], result.parts[2]}] = result;
@@ -160,7 +160,7 @@ class Report {
     *out << "Batches of gradients (two balls, 480 steps), by threads:\n\n"
             "| contact model | threads | gradients per second | speed-up |\n|---|---|---|---|\n";
     std::map<std::string, double> single;
-    for (const Result& result : Of("Throughput")) {
+    for (const Result& result : ResultsOf("Throughput")) {
       const double rate = result["gradients_per_second"];
       if (result.parts[2] == "1") single[result.parts[1]] = rate;
       *out << "| " << result.parts[1] << " | " << result.parts[2] << " | " << Number(rate, "%.0f") << " | "
@@ -172,7 +172,7 @@ class Report {
   void WriteIterations(std::ostream* out) const {
     *out << "One iteration of a solver, in gradients of the same problem:\n\n"
             "| solver | contact model | problem | steps | iteration | set-up |\n|---|---|---|---|---|---|\n";
-    for (const Result& result : Of("Iteration")) {
+    for (const Result& result : ResultsOf("Iteration")) {
       for (int i = 1; i <= 4; ++i) *out << "| " << result.parts[i] << " ";
       *out << "| " << Number(result["gradients_per_iteration"]) << " | " << Number(result["setup_in_gradients"])
            << " |\n";
@@ -183,7 +183,7 @@ class Report {
   void WriteSolvers(std::ostream* out) const {
     *out << "To the solution, until the loss is within 1 % of the best that the solver reaches:\n\n"
             "| solver | contact model | problem | time (ms) | iterations |\n|---|---|---|---|---|\n";
-    for (const Result& result : Of("Solution")) {
+    for (const Result& result : ResultsOf("Solution")) {
       *out << "| " << result.parts[1] << " | " << result.parts[2] << " | " << result.parts[3] << " | "
            << Number(result["milliseconds"]) << " | " << Number(result["iterations_needed"], "%.0f") << " |\n";
     }
@@ -193,7 +193,7 @@ class Report {
   void WriteTimesToSolution(std::ostream* out) const {
     *out << "Two balls, from the scene to the solution under exact dynamics (gap: exact loss less the optimum):\n\n"
             "| solver | steps | time (ms) | iterations | gap |\n|---|---|---|---|---|\n";
-    for (const Result& result : Of("TimeToSolution")) {
+    for (const Result& result : ResultsOf("TimeToSolution")) {
       *out << "| " << result.parts[1] << " | " << result.parts[2] << " | " << Number(result["cpu_time"]) << " | "
            << Number(result["iterations_needed"], "%.0f") << " | " << Number(result["gap"], "%.2g") << " |\n";
     }
@@ -206,7 +206,7 @@ class Report {
     panel.y.label = quantity;
     panel.x.log = panel.y.log = true;
     std::map<std::string, std::pair<Series, Series>> lines;
-    for (const Result& result : Of(kind)) {
+    for (const Result& result : ResultsOf(kind)) {
       const std::string& name = result.parts[1];
       const auto [at, added] = lines.try_emplace(name);
       auto& [forward, gradient] = at->second;

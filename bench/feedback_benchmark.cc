@@ -15,7 +15,7 @@ namespace {
 struct TwoBalls {
   TwoBalls() : motion(MakeSimulator({"event"}, ReadScene(), Precision::kDouble)) {
     control = InitialControl(motion->scene(), motion->num_steps());
-    CHECK(motion->Rollout(InitialState(motion->scene()), control)) << motion->WhyFailed();
+    CHECK(motion->Rollout(InitialState(motion->scene()), control)) << motion->FailureReason();
     linear = Linearize(*motion, control);
     const int n = motion->state_size(), m = motion->control_width();
     cost = {.Q = {Eigen::MatrixXd::Identity(n, n)},

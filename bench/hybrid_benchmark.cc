@@ -102,7 +102,7 @@ void BesideHandWritten(benchmark::State& state) {
   HybridSimulator simulator(HybridSystem(SlipHopper()), {.steps_per_interval = kSteps});
   const HybridInput input{.initial = {0, 1.18, 1.02, -0.1}, .parameters = {100, 10 * M_PI / 180}, .duration = 2.1};
   std::array<double, 5> by_hand;
-  CHECK(simulator.Rollout(input)) << simulator.WhyFailed();
+  CHECK(simulator.Rollout(input)) << simulator.FailureReason();
   CHECK_EQ(RollOutHopper(1.18, 1.02, -0.1, 2.1, kSteps, &by_hand), 7);
   for (int i = 0; i < 5; ++i) CHECK_LT(std::abs(by_hand[i] - simulator.final_state()[i]), 1e-9);
   for (auto _ : state) {

@@ -125,7 +125,7 @@ void BM_Audit(benchmark::State& state) {
   for (auto _ : state) {
     const std::clock_t work = std::clock();
     const auto start = std::chrono::steady_clock::now();
-    const std::optional<ModelGradient> exact = ExactGradientOf(scene);
+    const std::optional<ModelGradient> exact = ComputeExactGradient(scene);
     CHECK(exact);
     const ModelAudit audit =
         AuditModel("event", scene, Precision::kDouble, exact, {.threads = NumThreads(/*threads=*/0)});

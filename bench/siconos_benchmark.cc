@@ -82,9 +82,9 @@ void Compare(benchmark::State& state, const MechanicalSystem& system, HybridInpu
   constexpr int kTurns = 25;
   input.mode = system.FindMode(input.initial, {}, input.parameters).mode;
   HybridSimulator simulator(system.hybrid(), {.tolerance = tolerance});
-  CHECK(simulator.Rollout(input)) << simulator.WhyFailed();
+  CHECK(simulator.Rollout(input)) << simulator.FailureReason();
   HybridSimulator finer(system.hybrid(), {.steps_per_interval = 8 * simulator.steps_per_interval()});
-  CHECK(finer.Rollout(input)) << finer.WhyFailed();
+  CHECK(finer.Rollout(input)) << finer.FailureReason();
   const std::vector<double> exact(finer.final_state().begin(), finer.final_state().end());
   for (auto _ : state) {
     double ours = HUGE_VAL, theirs = HUGE_VAL;

@@ -130,7 +130,8 @@ class HandWritten {
 
 void Gradient(benchmark::State& state, const std::string& contact) {
   const Scene scene = ProblemScene("two_balls", 480);
-  if (const std::string why = WhyNotApplicable(contact, scene); !why.empty()) return state.SkipWithError(why.c_str());
+  if (const std::string why = ReasonNotApplicable(contact, scene); !why.empty())
+    return state.SkipWithError(why.c_str());
   for (auto _ : state) {
     const Costs costs = MeasureCosts(contact, scene);
     state.SetIterationTime(costs.gradient);
@@ -234,7 +235,8 @@ std::vector<double> RandomPoints(const std::vector<double>& guess, int count) {
 
 void BatchOfMotions(benchmark::State& state, const std::string& contact) {
   const Scene scene = ProblemScene("two_balls", 480);
-  if (const std::string why = WhyNotApplicable(contact, scene); !why.empty()) return state.SkipWithError(why.c_str());
+  if (const std::string why = ReasonNotApplicable(contact, scene); !why.empty())
+    return state.SkipWithError(why.c_str());
   SingleShooting shooting(MakeSimulator(contact, scene, Precision::kDouble));
   Batch batch(contact, scene, Precision::kDouble, 1);
   constexpr int kMotions = 4096;

@@ -40,7 +40,7 @@ Table Record(const Scene& scene, Random* random) {
   Table recording({{"time"}, {"body"}, {"x"}, {"y"}, {"sigma"}});
   const auto simulator = MakeSimulator(LearnedContact(TrueLaw()), scene, Precision::kDouble);
   if (!simulator->Rollout(InitialState(scene), InitialControl(scene, simulator->num_steps()))) {
-    throw OutputError("no motion: " + simulator->WhyFailed());
+    throw OutputError("no motion: " + simulator->FailureReason());
   }
   std::vector<double> x(simulator->state_size());
   for (int k = kNodesPerSample; k <= simulator->num_steps(); k += kNodesPerSample) {

@@ -88,7 +88,7 @@ py::tuple AuditScene(const Scene& scene, const std::vector<std::string>& contact
   AuditReport report;
   report.models.resize(contacts.size());
   const auto audit = [&] {
-    report.reference = ExactGradientOf(scene, options.stop);
+    report.reference = ComputeExactGradient(scene, options.stop);
     ParallelFor(workers, static_cast<int>(contacts.size()), [&](int /*thread*/, int i) {
       report.models[i] = AuditModel(request.contacts[i], scene, request.precision, report.reference, options);
     });
@@ -105,7 +105,7 @@ py::tuple AuditScene(const Scene& scene, const std::vector<std::string>& contact
   }
   Json document = AuditToJson(request, report);
   if (document.contains("interrupted")) {
-    document["reason"] = computation.WhyTimedOut();
+    document["reason"] = computation.ReasonTimedOut();
     return py::make_tuple(ToPython(document), py::none());
   }
   const ModelGradient& first = report.models[0].gradient;

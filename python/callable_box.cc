@@ -43,17 +43,17 @@ class CallableBox final : public BlackBox {
     return traits;
   }
 
-  std::vector<Answer> Ask(const Scene& scene, const std::vector<Question>& questions,
-                          const StopRequest& stop) override {
-    std::vector<Answer> answers(questions.size());
+  std::vector<BlackBoxAnswer> Evaluate(const Scene& scene, const std::vector<BlackBoxRequest>& requests,
+                                       const StopRequest& stop) override {
+    std::vector<BlackBoxAnswer> answers(requests.size());
     const py::gil_scoped_acquire acquire;
-    for (size_t i = 0; i < questions.size(); ++i) {
+    for (size_t i = 0; i < requests.size(); ++i) {
       if (stop && stop()) {
         answers[i].error = kStopped;
         continue;
       }
       try {
-        answers[i] = AnswerTo(scene, questions[i]);
+        answers[i] = ComputeAnswer(scene, requests[i]);
       } catch (const std::exception& error) {
         answers[i].error = error.what();
         Computation::StopCurrent(std::current_exception());
@@ -63,47 +63,48 @@ class CallableBox final : public BlackBox {
   }
 
  private:
-  Answer AnswerTo(const Scene& scene, const Question& question) {
-    const bool step = question.kind == Question::Kind::kStep, gradient = question.kind == Question::Kind::kGradient;
+  BlackBoxAnswer ComputeAnswer(const Scene& scene, const BlackBoxRequest& request) {
+    const bool step = request.kind == BlackBoxRequest::Kind::kStep,
+               gradient = request.kind == BlackBoxRequest::Kind::kGradient;
     const Shape states = {scene.num_bodies(), 4};
-    const Shape control = step ? Shape{scene.num_bodies(), 2} : Shape{question.steps, scene.num_controlled(), 2};
-    const py::object of_final = gradient ? py::object(ToArray(question.of_final, states)) : py::none();
-    const py::object given = answerer_(kKinds[static_cast<int>(question.kind)],
+    const Shape control = step ? Shape{scene.num_bodies(), 2} : Shape{request.steps, scene.num_controlled(), 2};
+    const py::object final_cotangent = gradient ? py::object(ToArray(request.final_cotangent, states)) : py::none();
+    const py::object given = answerer_(kKinds[static_cast<int>(request.kind)],
                                        SceneOf(scene),
-                                       question.duration / question.steps,
-                                       ToArray(question.initial, states),
-                                       ToArray(question.control, control),
-                                       of_final);
+                                       request.duration / request.steps,
+                                       ToArray(request.initial, states),
+                                       ToArray(request.control, control),
+                                       final_cotangent);
     const py::dict parts = given.cast<py::dict>();
     const auto read = [&](const char* key, const Shape& shape) {
       return parts.contains(key) ? ToVector(ReadArray(parts[key], name_ + ": " + key, shape)) : std::vector<double>();
     };
-    Answer answer;
+    BlackBoxAnswer answer;
     answer.final = read("final state", states);
-    answer.states = read("states", {question.steps + 1, scene.num_bodies(), 4});
+    answer.states = read("states", {request.steps + 1, scene.num_bodies(), 4});
     answer.initial = read("gradient by the initial state", states);
     answer.control = read("gradient by the control", control);
-    if (gradient && offer_.loss) PullBackOfLoss(scene, question, &answer);
+    if (gradient && offer_.loss) PullBackOfLoss(scene, request, &answer);
     return answer;
   }
 
   // From the gradient of the scene's loss to that of of_final . (final state). All questions are about multiples of the
   // loss, which may be in other units.
-  void PullBackOfLoss(const Scene& scene, const Question& question, Answer* answer) const {
+  void PullBackOfLoss(const Scene& scene, const BlackBoxRequest& request, BlackBoxAnswer* answer) const {
     std::vector<double> by_final(answer->final.size());
     TerminalGradient(scene.objective, answer->final, 4, by_final);
     double product = 0, square = 0, asked = 0;
     for (size_t i = 0; i < by_final.size(); ++i) {
-      product += by_final[i] * question.of_final[i];
+      product += by_final[i] * request.final_cotangent[i];
       square += by_final[i] * by_final[i];
-      asked += question.of_final[i] * question.of_final[i];
+      asked += request.final_cotangent[i] * request.final_cotangent[i];
     }
     const double factor = square > 0 ? product / square : 0.0;
     if (asked - factor * product > kNotOfLoss * asked) {
       throw std::logic_error(name_ + ": asked for another gradient than that of the loss");
     }
     std::vector<double> effort(answer->control.size());
-    AddEffortGradient(scene.objective, question.control, question.duration / question.steps, effort);
+    AddEffortGradient(scene.objective, request.control, request.duration / request.steps, effort);
     for (size_t i = 0; i < effort.size(); ++i) answer->control[i] = factor * (answer->control[i] - effort[i]);
     for (double& entry : answer->initial) entry *= factor;
   }
@@ -139,7 +140,7 @@ void BindContact(py::module_* module) {
   py::class_<Contact>(*module, "Contact")
       .def(py::init([](const std::string& name, const py::object& answerer) {
              const auto box = MakeCallableBox(name, answerer, {.gradient = true, .step = true, .states = true});
-             return ContactOf(box, box->Describe({}), {.touches = true});
+             return MakeBlackBoxContact(box, box->Describe({}), {.touches = true});
            }),
            py::arg("name"),
            py::arg("answerer"))

@@ -20,13 +20,13 @@ Computation::Computation(double seconds) : caller_(std::this_thread::get_id()), 
   }
 }
 
-std::string Computation::WhyTimedOut() const {
+std::string Computation::ReasonTimedOut() const {
   if (!stopped_ || error_) return "";
   return "the limit of " + ToText(seconds_) + " s was reached; raise seconds, or go on from what was found";
 }
 
 void Computation::AddWhyTimedOut(std::string* reason) const {
-  const std::string why = WhyTimedOut();
+  const std::string why = ReasonTimedOut();
   if (!why.empty()) *reason += (reason->empty() ? "" : "; ") + why;
 }
 

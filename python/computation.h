@@ -61,8 +61,9 @@ class Computation {
   }
   bool Stopped();
   // Returns the reason why it has ended before it was done, if that was the limit of time, otherwise an empty text.
-  std::string WhyTimedOut() const;
-  // Adds the text of WhyTimedOut(), unless it is empty, to a reason, behind a semicolon if the reason has one before.
+  std::string ReasonTimedOut() const;
+  // Adds the text of ReasonTimedOut(), unless it is empty, to a reason, behind a semicolon if the reason has one
+  // before.
   void AddWhyTimedOut(std::string* reason) const;
 
   // Runs `call` with the GIL, from any thread; stops the computation if it throws. False then, and without a call if it

@@ -42,12 +42,12 @@ void Raise(const SceneFileError& error) {
 }
 
 void CheckRows(const Scene& scene, const std::string& name, std::span<const double> rows) {
-  if (const std::string why = WhyNoControl(scene, rows); !why.empty()) throw py::value_error(name + ": " + why);
+  if (const std::string why = ValidateControlRows(scene, rows); !why.empty()) throw py::value_error(name + ": " + why);
 }
 
 void CheckTakes(const Contact& contact, const Scene& scene) {
-  const std::string why_not = WhyNotApplicable(contact, scene);
-  if (!why_not.empty()) throw py::value_error("contact " + contact.name() + ": " + why_not);
+  const std::string reason_not_applicable = ReasonNotApplicable(contact, scene);
+  if (!reason_not_applicable.empty()) throw py::value_error("contact " + contact.name() + ": " + reason_not_applicable);
 }
 
 void WarnOfUnresolved(int unresolved_steps, int num_steps) {
@@ -65,7 +65,7 @@ Contact ReadContact(const py::handle& contact) {
                          ", expected the name of a contact model");
   }
   const Contact read(contact.cast<std::string>());
-  const std::string wrong = WhatIsWrongWith(read);
+  const std::string wrong = Validate(read);
   if (!wrong.empty()) throw py::value_error("contact: " + wrong);
   return read;
 }
@@ -99,7 +99,7 @@ std::optional<Surrogate> ReadSurrogate(const py::object& surrogate) {
     }
   }
   if (!found) throw py::value_error("surrogate: expected a kind of " + names);
-  const std::string wrong = WhyNotValid(read);
+  const std::string wrong = Validate(read);
   if (!wrong.empty()) throw py::value_error("surrogate: " + wrong);
   return read;
 }

@@ -83,7 +83,7 @@ class EndState {
   }
 
   std::string Failure() const {
-    const std::string why = simulator_->WhyFailed();
+    const std::string why = simulator_->FailureReason();
     return why.empty() ? "a state is not finite" : why;  // or it was stopped, which is said elsewhere
   }
 

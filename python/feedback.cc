@@ -80,7 +80,7 @@ PlannedMotion PlanMotion(Scene scene, const py::object& control, const py::objec
     if (cost.Q.size() != 1) return std::string("Q: expected one matrix");
     for (const auto& [name, matrix, size] :
          {std::tuple("Q", &cost.Q[0], n), std::tuple("R", &cost.R, Eigen::Index{m}), std::tuple("QT", &cost.QT, n)}) {
-      const std::string wrong = WhatIsWrongWithSymmetric(*matrix, size, /*definite=*/matrix == &cost.R);
+      const std::string wrong = ValidateSymmetric(*matrix, size, /*definite=*/matrix == &cost.R);
       if (!wrong.empty()) return name + (": " + wrong);
     }
     return std::string();
@@ -102,9 +102,9 @@ py::tuple Track(const PlannedMotion& planned, const Matrices& Q, const Eigen::Ma
 Noise CheckedNoise(const PlannedMotion& planned, const std::array<Eigen::MatrixXd, 4>& covariances,
                    const Matrices& gains) {
   Noise noise{covariances[0], covariances[1], covariances[2], covariances[3]};
-  if (const std::string wrong = WhatIsWrongWith(noise, planned.linear); !wrong.empty()) throw py::value_error(wrong);
+  if (const std::string wrong = Validate(noise, planned.linear); !wrong.empty()) throw py::value_error(wrong);
   if (gains.empty()) return noise;
-  if (const std::string wrong = WhatIsWrongWith(Regulator{.gains = gains}, planned.linear); !wrong.empty()) {
+  if (const std::string wrong = Validate(Regulator{.gains = gains}, planned.linear); !wrong.empty()) {
     throw py::value_error(wrong);
   }
   return noise;
@@ -119,7 +119,7 @@ py::tuple Propagate(const PlannedMotion& planned, const std::array<Eigen::Matrix
   Computation().RunOrThrow(
       [&] { found = saltus::Propagate(planned.linear, noise, gains.empty() ? nullptr : &regulator); });
   std::vector<std::tuple<std::string, double, double>> risks;
-  for (const SequenceRisk& risk : found.risks) risks.emplace_back(risk.what, risk.time, risk.probability);
+  for (const SequenceRisk& risk : found.risks) risks.emplace_back(risk.description, risk.time, risk.probability);
   const std::string warning = found.Warning();
   return py::make_tuple(found.nodes, found.event_times, risks, found.change_probability, warning, planned.remark);
 }
@@ -144,14 +144,14 @@ py::tuple NoisyRuns(const PlannedMotion& planned, const std::array<Eigen::Matrix
   if (!planned.remark.empty()) remarks.push_back(planned.remark);
   if (runs.simulated < samples) {
     remarks.push_back(std::to_string(runs.simulated) + " of " + std::to_string(samples) +
-                      " runs were simulated: " + computation.WhyTimedOut());
+                      " runs were simulated: " + computation.ReasonTimedOut());
   }
   if (runs.counted < 2) {
     remarks.push_back("there is no covariance: found " + std::to_string(runs.counted) +
                       " runs that count, expected at least 2; raise samples");
   }
   return py::make_tuple(
-      runs.mean, runs.covariance, planned.plan.states.back(), runs.counted, runs.failed, runs.otherwise, remarks);
+      runs.mean, runs.covariance, planned.plan.states.back(), runs.counted, runs.failed, runs.off_plan, remarks);
 }
 
 Eigen::VectorXd ReadVector(const py::handle& value, const std::string& name, Eigen::Index size) {
@@ -165,7 +165,7 @@ Eigen::MatrixXd ReadMatrix(const py::handle& value, const std::string& name, Eig
 }
 
 void CheckCovariance(const Eigen::MatrixXd& matrix, const std::string& name) {
-  const std::string wrong = WhatIsWrongWithSymmetric(matrix, matrix.rows(), /*definite=*/false);
+  const std::string wrong = ValidateSymmetric(matrix, matrix.rows(), /*definite=*/false);
   if (!wrong.empty()) throw py::value_error(name + ": " + wrong);
 }
 
@@ -231,7 +231,7 @@ class Filter {
         throw std::invalid_argument("time: found " + std::to_string(time) + ", expected at least the filter's time, " +
                                     std::to_string(filter_->time()));
       }
-      if (!filter_->Predict(time, numbers, added)) throw std::runtime_error(filter_->WhyFailed());
+      if (!filter_->Predict(time, numbers, added)) throw std::runtime_error(filter_->FailureReason());
     });
   }
 
@@ -247,7 +247,7 @@ class Filter {
     return Read<double>([&] {
       const std::optional<double> likelihood = h.is_none() ? filter_->Update(numbers, jacobian, covariance)
                                                            : filter_->Update(numbers, expected, jacobian, covariance);
-      if (!likelihood) throw std::invalid_argument(filter_->WhyFailed());
+      if (!likelihood) throw std::invalid_argument(filter_->FailureReason());
       return *likelihood;
     });
   }
@@ -279,7 +279,7 @@ class Filter {
     HybridInput input{.mode = mode, .begin = time};
     input.initial = ToVector(ReadArray(mean, "mean", {hybrid.state_size(0)}));
     input.parameters = ToVector(ReadArray(parameters, "parameters", {hybrid.num_parameters()}));
-    if (const std::string why = WhyNoStart(system, &input); !why.empty()) throw py::value_error("mean: " + why);
+    if (const std::string why = ReasonNoStart(system, &input); !why.empty()) throw py::value_error("mean: " + why);
     return input.mode;
   }
   static Eigen::MatrixXd ReadCovariance(const py::object& value, const std::string& name, int n) {
@@ -299,7 +299,7 @@ class Filter {
 
 py::tuple RegulatorToPython(const Regulator& regulator, const std::string& remark) {
   py::list events;
-  for (const Regulator::AtEvent& at : regulator.events) {
+  for (const Regulator::EventJump& at : regulator.events) {
     events.append(py::make_tuple(at.time, at.saltation, at.gain_before, at.gain_after, at.cost_before, at.cost_after));
   }
   return py::make_tuple(regulator.gains, regulator.cost_to_go, regulator.closed_loop, events, remark);

@@ -23,7 +23,7 @@ struct PlannedMotion {
 
 // Returns why a mechanical system has no motion from an input, empty if it has one. Sets the mode of the input if it is
 // -1.
-std::string WhyNoStart(const MechanicalSystem& system, HybridInput* input);
+std::string ReasonNoStart(const MechanicalSystem& system, HybridInput* input);
 
 // Gains, costs to go and closed loops of the intervals; the events of a regulator in continuous time; the remark.
 pybind11::tuple RegulatorToPython(const Regulator& regulator, const std::string& remark);

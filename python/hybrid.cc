@@ -44,7 +44,7 @@ ExpressionGraph ReadGraph(int num_inputs, const Outputs& recorded) {
         recording.nodes.emplace_back(ExpressionGraph::Node{.a = a, .b = b, .c = c, .value = value});
     if (!FindOperation(name, &node.operation)) throw py::value_error("operation: found '" + name + "'");
   }
-  if (const std::string wrong = WhatIsWrongWith(recording); !wrong.empty()) throw py::value_error(wrong);
+  if (const std::string wrong = Validate(recording); !wrong.empty()) throw py::value_error(wrong);
   return recording;
 }
 
@@ -122,7 +122,7 @@ MechanicalSystem MakeMechanicalSystem(const Outputs& mass, const Outputs& force,
                                   .reach = optional(reach),
                                   .distance = optional(distance)});
   }
-  if (const std::string wrong = WhatIsWrongWith(layout, recording); !wrong.empty()) throw py::value_error(wrong);
+  if (const std::string wrong = Validate(layout, recording); !wrong.empty()) throw py::value_error(wrong);
   const auto law = poisson ? MechanicalOptions::Law::kPoisson : MechanicalOptions::Law::kNewton;
   return MechanicalSystem(MakeMechanicalFunctions(std::move(layout), recording),
                           {.law = law, .rest_speed = rest_speed});
@@ -172,9 +172,9 @@ HybridTerm ReadTerm(const GivenTerm& given) {
   HybridTerm term{.name = name, .mode = mode, .event = event, .before = before};
   (at == "event" ? term.occurrence : term.interval) = only;
   term.always = at == "always";
-  term.at = term.always || at == "steps" ? HybridTerm::At::kEachInterval
-            : at == "event"              ? HybridTerm::At::kEvent
-                                         : HybridTerm::At::kEnd;
+  term.at = term.always || at == "steps" ? HybridTerm::Timing::kEachInterval
+            : at == "event"              ? HybridTerm::Timing::kEvent
+                                         : HybridTerm::Timing::kEnd;
   term.role = role == "equality"     ? HybridTerm::Role::kEquality
               : role == "inequality" ? HybridTerm::Role::kInequality
               : role == "value"      ? HybridTerm::Role::kValue
@@ -211,10 +211,10 @@ py::dict PartsOf(const HybridProblem& problem) {
 
 // Reads a scene of discs as a problem of a hybrid system.
 py::dict SceneAsHybrid(const Scene& scene) {
-  if (const std::string why = WhyNoHybridProblem(scene); !why.empty()) {
+  if (const std::string why = UnsupportedByHybridProblem(scene); !why.empty()) {
     throw py::value_error("scene: found " + why + ", which a problem of a hybrid system does not have");
   }
-  const HybridProblem problem = HybridProblemOf(scene);
+  const HybridProblem problem = MakeHybridProblem(scene);
   const HybridSystem& system = problem.system;
   py::dict parts = PartsOf(problem), states, guards, next_modes;
   for (int mode = 0; mode < system.num_modes(); ++mode) {
@@ -351,7 +351,7 @@ StopRequest StopAfterGrace(Computation* computation) {
 }
 
 // Returns why a mechanical system is not in a mode: a closed contact has a gap.
-std::string WhyNotIn(const MechanicalSystem& system, int mode, const HybridInput& input) {
+std::string ReasonNotInMode(const MechanicalSystem& system, int mode, const HybridInput& input) {
   const MechanicalFunctions& functions = system.functions();
   const std::string status = system.hybrid().ModeName(mode);
   double size = 1;
@@ -367,7 +367,7 @@ std::string WhyNotIn(const MechanicalSystem& system, int mode, const HybridInput
 
 }  // namespace
 
-std::string WhyNoStart(const MechanicalSystem& system, HybridInput* input) {
+std::string ReasonNoStart(const MechanicalSystem& system, HybridInput* input) {
   const auto finite = [](const std::vector<double>& numbers) {
     return std::ranges::all_of(numbers, [](double number) { return std::isfinite(number); });
   };
@@ -376,14 +376,14 @@ std::string WhyNoStart(const MechanicalSystem& system, HybridInput* input) {
     return "";
   }
   if (input->mode >= 0) {
-    const std::string why = system.WhatIsWrongAt(input->initial, input->parameters);
-    return why.empty() ? WhyNotIn(system, input->mode, *input) : why;
+    const std::string why = system.ValidateAt(input->initial, input->parameters);
+    return why.empty() ? ReasonNotInMode(system, input->mode, *input) : why;
   }
   std::vector<double> control = input->control;
   control.resize(system.hybrid().num_controls());
   MechanicalSystem::Start start = system.FindMode(input->initial, control, input->parameters, input->begin);
   input->mode = start.mode;
-  return start.mode >= 0 ? "" : std::move(start.why);
+  return start.mode >= 0 ? "" : std::move(start.reason);
 }
 
 namespace {
@@ -406,7 +406,7 @@ class Problem {
 
   // The problem with a guess, whose rollouts end when `stop` returns true. Throws ValueError if something is wrong with
   // it.
-  HybridProblem At(const Guess& guess, StopRequest stop = nullptr) const {
+  HybridProblem ProblemAtGuess(const Guess& guess, StopRequest stop = nullptr) const {
     const auto& [mode, initial, parameters, duration, control, durations] = guess;
     const HybridSystem& system = problem_.system;
     HybridInput input{.mode = mode, .duration = duration};
@@ -422,20 +422,20 @@ class Problem {
     }
     if (!durations.is_none()) input.lengths = ToVector(ReadArray(durations, "durations", {input.num_intervals}));
     if (mechanical_) {
-      if (const std::string why = WhyNoStart(*mechanical_, &input); !why.empty()) {
+      if (const std::string why = ReasonNoStart(*mechanical_, &input); !why.empty()) {
         throw py::value_error("initial: " + why);
       }
     }
     HybridProblem problem = problem_;
     problem.guess = std::move(input);
-    if (const std::string wrong = WhatIsWrongWith(problem); !wrong.empty()) throw py::value_error(wrong);
+    if (const std::string wrong = Validate(problem); !wrong.empty()) throw py::value_error(wrong);
     problem.integration.stop = std::move(stop);
     return problem;
   }
 
   py::dict Rollout(const Guess& guess) const {
     Computation computation;
-    const HybridProblem problem = At(guess, computation.stop());
+    const HybridProblem problem = ProblemAtGuess(guess, computation.stop());
     Json motion;
     computation.RunOrThrow([&] {
       HybridSimulator simulator(problem.system, problem.integration);
@@ -449,16 +449,16 @@ class Problem {
   // Row-major: final state and event times by [initial control parameters duration]; a remark, the integration error.
   py::tuple FinalDerivatives(const Guess& guess) const {
     Computation computation;
-    const HybridProblem problem = At(guess, computation.stop());
+    const HybridProblem problem = ProblemAtGuess(guess, computation.stop());
     HybridSensitivity found;
     std::vector<double> times;
     std::string remark;
     double error = 0;
     computation.RunOrThrow([&] {
       HybridSimulator simulator(problem.system, problem.integration);
-      if (!simulator.Rollout(problem.guess)) throw std::runtime_error(simulator.WhyFailed());
+      if (!simulator.Rollout(problem.guess)) throw std::runtime_error(simulator.FailureReason());
       found = simulator.Sensitivity();
-      remark = JoinReasons(simulator.WhyNotDifferentiable(), simulator.WhyInaccurate());
+      remark = JoinReasons(simulator.ReasonNotDifferentiable(), simulator.ReasonInaccurate());
       error = simulator.IntegrationError();
       for (std::size_t i = 0; i < found.times.size(); ++i) {
         if (simulator.events()[i].is_switch) continue;
@@ -474,7 +474,7 @@ class Problem {
   // The number of steps of the integration is kept, while it suffices, as long as the mode, the intervals and the
   // duration are the same.
   py::tuple LossAndGradient(const Guess& guess) {
-    const HybridProblem problem = At(guess, user_.stop());
+    const HybridProblem problem = ProblemAtGuess(guess, user_.stop());
     std::vector<double> gradient;
     double loss = 0;
     std::string remark;
@@ -488,7 +488,7 @@ class Problem {
                other.duration == input.duration && other.lengths == input.lengths;
       };
       if (shooting_ == nullptr || !same(shooting_->problem().guess)) {
-        shooting_ = std::make_unique<HybridShooting>(WithAllFree(problem));
+        shooting_ = std::make_unique<HybridShooting>(FreeAllVariables(problem));
         shooting_->set_accurate(true);
       }
       std::vector<double> z = input.control;
@@ -497,15 +497,15 @@ class Problem {
       z.insert(z.end(), input.parameters.begin(), input.parameters.end());
       z.push_back(input.duration);
       gradient.resize(z.size());
-      if (!shooting_->Evaluate(z, &loss, gradient.data())) throw std::runtime_error(shooting_->WhyFailed());
-      remark = shooting_->simulator().WhyNotDifferentiable();
+      if (!shooting_->Evaluate(z, &loss, gradient.data())) throw std::runtime_error(shooting_->FailureReason());
+      remark = shooting_->simulator().ReasonNotDifferentiable();
       Remarks found = RemarksOn(shooting_->simulator());
       const auto add = [&](const char* kind, const std::string& text) {
         if (text.empty()) return;
         remark += (remark.empty() ? "" : "; ") + text;
         found.push_back({kind, text});
       };
-      add("derivative", shooting_->WhereLossJumps(loss));
+      add("derivative", shooting_->DescribeLossJumps(loss));
       add("guess", shooting_->TermsWithoutEvents());
       remarks = RemarksToJson(found);
     });
@@ -519,9 +519,9 @@ class Problem {
                    const std::vector<int>& parameters, bool duration, const py::object& points, bool with_gradients,
                    int threads, const py::object& counter) const {
     Computation computation;
-    HybridProblem problem = At(guess, computation.stop());
+    HybridProblem problem = ProblemAtGuess(guess, computation.stop());
     problem.free = {.control = control, .initial = initial, .parameters = parameters, .duration = duration};
-    if (const std::string wrong = WhatIsWrongWith(problem); !wrong.empty()) throw py::value_error(wrong);
+    if (const std::string wrong = Validate(problem); !wrong.empty()) throw py::value_error(wrong);
     const HybridShooting first(problem);
     const py::ssize_t size = first.num_variables();
     const py::array any = py::array::ensure(points);
@@ -544,7 +544,7 @@ class Problem {
         HybridInput input = first.InputAt(point);
         input.mode = std::get<0>(guess);
         std::string& why = reasons[i];
-        if (mechanical_) why = WhyNoStart(*mechanical_, &input);
+        if (mechanical_) why = ReasonNoStart(*mechanical_, &input);
         if (why.empty()) {
           auto known = shootings[thread].find(input.mode);
           if (known == shootings[thread].end()) {
@@ -553,8 +553,8 @@ class Problem {
             known = shootings[thread].emplace(input.mode, from_mode).first;
             known->second.set_accurate(true);
           }
-          known->second.simulator().ChooseStepsAnew();
-          if (!known->second.Evaluate(point, &loss[i], row)) why = known->second.WhyFailed();
+          known->second.simulator().ResetStepChoice();
+          if (!known->second.Evaluate(point, &loss[i], row)) why = known->second.FailureReason();
         }
         if (why.empty()) return;
         loss[i] = std::numeric_limits<double>::quiet_NaN();
@@ -571,11 +571,11 @@ class Problem {
   // The final state; with a cotangent of it also its derivative by initial state, control and parameters.
   py::tuple EndState(const Guess& guess, const py::object& cotangent) const {
     Computation computation;
-    const HybridProblem problem = At(guess, computation.stop());
+    const HybridProblem problem = ProblemAtGuess(guess, computation.stop());
     std::vector<double> final_state;
     HybridSimulator simulator(problem.system, problem.integration);
     computation.RunOrThrow([&] {
-      if (!simulator.Rollout(problem.guess)) throw std::runtime_error(simulator.WhyFailed());
+      if (!simulator.Rollout(problem.guess)) throw std::runtime_error(simulator.FailureReason());
       final_state.assign(simulator.final_state().begin(), simulator.final_state().end());
     });
     const auto size = static_cast<py::ssize_t>(final_state.size());
@@ -585,7 +585,7 @@ class Problem {
     HybridGradient by;
     computation.RunOrThrow([&] {
       by = simulator.Adjoint(View(by_final));
-      if (!simulator.WhyNotFinite().empty()) throw std::runtime_error(simulator.WhyNotFinite());
+      if (!simulator.ReasonNotFinite().empty()) throw std::runtime_error(simulator.ReasonNotFinite());
     });
     const py::ssize_t intervals = problem.guess.num_intervals, m = problem.system.num_controls();
     by.control.resize(intervals * m);
@@ -603,7 +603,7 @@ class Problem {
                   double learning_rate, std::vector<double> guess_states, const py::object& callback,
                   const std::optional<std::vector<std::pair<int, int>>>& sequence, double seconds) const {
     Computation computation(seconds);
-    HybridProblem problem = At(guess, StopAfterGrace(&computation));
+    HybridProblem problem = ProblemAtGuess(guess, StopAfterGrace(&computation));
     problem.guess_states = std::move(guess_states);
     problem.free = {.control = control, .initial = initial, .parameters = parameters, .duration = duration};
     const auto split =
@@ -620,7 +620,7 @@ class Problem {
       if (bounds[3][0].first != -INFINITY) problem.free.duration_min = bounds[3][0].first;
       problem.free.duration_max = bounds[3][0].second;
     }
-    if (const std::string wrong = WhatIsWrongWith(problem); !wrong.empty()) throw py::value_error(wrong);
+    if (const std::string wrong = Validate(problem); !wrong.empty()) throw py::value_error(wrong);
     SolverOptions options;
     if (iterations < 0) throw py::value_error("iterations: expected a number of at least 0");
     if (!(learning_rate > 0) || !std::isfinite(learning_rate)) {
@@ -656,7 +656,7 @@ class Problem {
   // Returns the problem as the page of a program has it: the system, the guess, its motion, loss and gradient.
   py::object PageDocument(const Guess& guess) const {
     Computation computation;
-    const HybridProblem problem = At(guess, computation.stop());
+    const HybridProblem problem = ProblemAtGuess(guess, computation.stop());
     Json document;
     computation.RunOrThrow([&] {
       Json motion = DrawnMotionToJson(problem, problem.guess);
@@ -671,19 +671,18 @@ class Problem {
 
   // The motion from the guess, for feedback.
   PlannedMotion Planned(const Guess& guess) const {
-    const HybridProblem problem = At(guess);
+    const HybridProblem problem = ProblemAtGuess(guess);
     PlannedMotion planned;
     Computation().RunOrThrow([&] {
       const auto simulator = std::make_shared<HybridSimulator>(problem.system, problem.integration);
-      if (!simulator->Rollout(problem.guess)) throw std::runtime_error(simulator->WhyFailed());
+      if (!simulator->Rollout(problem.guess)) throw std::runtime_error(simulator->FailureReason());
       LinearMotion linear = Linearize(*simulator, problem.guess);
-      if (!simulator->WhyNotFinite().empty()) throw std::runtime_error(simulator->WhyNotFinite());
-      planned = {
-          .plan = MakePlan(*simulator, problem.guess),
-          .linear = std::move(linear),
-          .what_is_wrong_with = [simulator](const TrackingCost& cost) { return WhatIsWrongWith(cost, *simulator); },
-          .make_plant = [simulator, input = problem.guess] { return MakePlant(*simulator, input); },
-          .remark = simulator->WhyNotDifferentiable()};
+      if (!simulator->ReasonNotFinite().empty()) throw std::runtime_error(simulator->ReasonNotFinite());
+      planned = {.plan = MakePlan(*simulator, problem.guess),
+                 .linear = std::move(linear),
+                 .what_is_wrong_with = [simulator](const TrackingCost& cost) { return Validate(cost, *simulator); },
+                 .make_plant = [simulator, input = problem.guess] { return MakePlant(*simulator, input); },
+                 .remark = simulator->ReasonNotDifferentiable()};
     });
     return planned;
   }
@@ -691,21 +690,21 @@ class Problem {
   py::tuple TrackContinuously(const Guess& guess, const std::vector<Eigen::MatrixXd>& Q, const Eigen::MatrixXd& R,
                               const Eigen::MatrixXd& QT) const {
     Computation computation;
-    const HybridProblem problem = At(guess, computation.stop());
+    const HybridProblem problem = ProblemAtGuess(guess, computation.stop());
     Regulator regulator;
     std::string remark;
     computation.RunOrThrow([&] {
       HybridSimulator simulator(problem.system, problem.integration);
-      if (!simulator.Rollout(problem.guess)) throw std::runtime_error(simulator.WhyFailed());
+      if (!simulator.Rollout(problem.guess)) throw std::runtime_error(simulator.FailureReason());
       const TrackingCost cost{.Q = Q, .R = R, .QT = QT};
-      if (const std::string wrong = WhatIsWrongWith(cost, simulator); !wrong.empty()) {
+      if (const std::string wrong = Validate(cost, simulator); !wrong.empty()) {
         throw std::invalid_argument(wrong);
       }
       regulator = saltus::TrackContinuously(simulator, problem.guess, cost);
       if (regulator.gains.empty()) {
         throw std::runtime_error("two transitions without time between them: no regulator in continuous time");
       }
-      remark = simulator.WhyNotDifferentiable();
+      remark = simulator.ReasonNotDifferentiable();
     });
     return RegulatorToPython(regulator, remark);
   }
@@ -714,14 +713,14 @@ class Problem {
   // whether this is stated) of each residual of its terms.
   HybridExperiment Experiment(const Guess& guess, const std::string& name,
                               const std::vector<std::tuple<std::string, double, double, double, bool>>& data) const {
-    HybridExperiment experiment{.name = name, .problem = At(guess), .data = {}};
+    HybridExperiment experiment{.name = name, .problem = ProblemAtGuess(guess), .data = {}};
     for (const auto& [quantity, time, value, sigma, is_stated] : data) {
       experiment.data.push_back({quantity, time, value, sigma, is_stated});
     }
     if (!mechanical_) return experiment;
     experiment.begin = [system = *mechanical_, mode = std::get<0>(guess)](HybridInput* input) {
       input->mode = mode;
-      return WhyNoStart(system, input);
+      return ReasonNoStart(system, input);
     };
     return experiment;
   }
@@ -732,7 +731,7 @@ class Problem {
                  double seconds) const {
     if (steps < 1) throw py::value_error("steps: expected a number of at least 1");
     Computation computation(seconds);
-    const HybridProblem problem = At(guess, StopAfterGrace(&computation));
+    const HybridProblem problem = ProblemAtGuess(guess, StopAfterGrace(&computation));
     HybridAuditOptions options{.steps = steps, .width_sweep = width_sweep, .stop = computation.stop()};
     options.refinement.budget = budget;
     options.refinement.seconds = audit_seconds;
@@ -746,7 +745,7 @@ class Problem {
       audit = AuditScheme(problem, scheme.get(), options);
     });
     Json document = HybridAuditToJson(problem, audit);
-    if (audit.interrupted) document["reason"] = computation.WhyTimedOut();
+    if (audit.interrupted) document["reason"] = computation.ReasonTimedOut();
     return ToPython(document);
   }
 
@@ -766,7 +765,7 @@ void BindHybrid(py::module_* module) {
   py::class_<HybridTerm>(*module, "HybridTerm")
       .def_readonly("name", &HybridTerm::name)
       .def_property_readonly(
-          "at", [](const HybridTerm& term) { return term.at == HybridTerm::At::kEachInterval ? "steps" : "end"; })
+          "at", [](const HybridTerm& term) { return term.at == HybridTerm::Timing::kEachInterval ? "steps" : "end"; })
       .def_property_readonly("role", [](const HybridTerm& term) {
         return term.role == HybridTerm::Role::kEquality ? "equality" : "cost";
       });
@@ -801,7 +800,7 @@ void BindHybrid(py::module_* module) {
   define_with(static_cast<const MechanicalSystem*>(nullptr));
   problem
       .def(
-          "check", [](const Problem& checked, const Guess& guess) { checked.At(guess); }, py::arg("guess"))
+          "check", [](const Problem& checked, const Guess& guess) { checked.ProblemAtGuess(guess); }, py::arg("guess"))
       .def("rollout", &Problem::Rollout, py::arg("guess"))
       .def("final_derivatives", &Problem::FinalDerivatives, py::arg("guess"))
       .def("loss_and_gradient", &Problem::LossAndGradient, py::arg("guess"))

@@ -114,7 +114,8 @@ IdentifyReport RunFit(IdentifyOptions options, const py::object& status, const s
   }
   computation->Run([&] { report = fit(options); });
   if (report.verdict == FitVerdict::kNotApplicable) throw py::value_error(prefix + report.reason);
-  if (report.verdict == FitVerdict::kInterrupted && report.reason.empty()) report.reason = computation->WhyTimedOut();
+  if (report.verdict == FitVerdict::kInterrupted && report.reason.empty())
+    report.reason = computation->ReasonTimedOut();
   return report;
 }
 

@@ -60,7 +60,7 @@ std::vector<int> AllBodies(const Scene& scene) {
 // fixed bodies in scene files.
 void CheckOnPath(const Body& body, const Vec2d& found, const std::string& place, bool is_velocity) {
   constexpr double kSame = 1e-9;
-  const PathMotion::Point start = PathMotion(*body.path).At(0);
+  const PathMotion::Point start = PathMotion(*body.path).SampleAt(0);
   const Vec2d expected = is_velocity ? start.velocity : start.position;
   if ((found - expected).norm() <= kSame * std::max(1.0, expected.norm()) || (is_velocity && found.isZero(0))) return;
   const auto text = [](const Vec2d& of) { return "[" + ToText(of[0], 10) + ", " + ToText(of[1], 10) + "]"; };
@@ -141,7 +141,7 @@ void BindScene(py::module_* module) {
       .def_property_readonly("optimize", [](const Scene& scene) { return OptimizeToString(scene.optimize); })
       .def_property_readonly("bodies", [](const Scene& scene) { return NamesOf(scene, AllBodies(scene)); })
       .def_property_readonly("controlled", [](const Scene& scene) { return NamesOf(scene, scene.control.bodies); })
-      .def_property_readonly("turned", [](const Scene& scene) { return NamesOf(scene, scene.control.turned); })
+      .def_property_readonly("turned", [](const Scene& scene) { return NamesOf(scene, scene.control.torque_bodies); })
       .def_property_readonly("position", [](const Scene& scene) { return VectorsOf(scene, &Body::position); })
       .def_property_readonly("velocity", [](const Scene& scene) { return VectorsOf(scene, &Body::velocity); })
       .def_property_readonly("spins", &Scene::Spins)

@@ -15,13 +15,13 @@ constexpr double kMebibyte = 1 << 20;
 
 SingleShooting MakeShooting(const Contact& contact, const Scene& near, const std::string& precision) {
   CheckTakes(contact, near);
-  SingleShooting::OfScene of_scene;
+  SingleShooting::SimulatorFactory simulator_factory;
   const bool exact = FindContactModel(contact)->event_driven && ReadPrecision(precision) == Precision::kDouble;
   if (near.objective.duration && exact && near.optimize == Optimize::kControl) {
-    of_scene = [contact](const Scene& other) { return MakeSimulator(contact, other, Precision::kDouble); };
+    simulator_factory = [contact](const Scene& other) { return MakeSimulator(contact, other, Precision::kDouble); };
   }
   return SingleShooting(
-      MakeSimulator(contact, near, ReadPrecision(precision)), SingleShooting::Variables::kOfScene, of_scene);
+      MakeSimulator(contact, near, ReadPrecision(precision)), SingleShooting::Variables::kOptimized, simulator_factory);
 }
 
 }  // namespace
@@ -36,7 +36,7 @@ Shape VariablesShape(const SingleShooting& shooting) {
   return {shooting.num_variables() / 2, 2};
 }
 
-bool HasTorques(const Scene& scene) { return scene.optimize == Optimize::kControl && scene.num_turned() > 0; }
+bool HasTorques(const Scene& scene) { return scene.optimize == Optimize::kControl && scene.num_torques() > 0; }
 
 void ConvertPositions(std::span<double> numbers, size_t stride, const Units& from, const Units& to) {
   for (size_t i = 0; i + 1 < numbers.size(); i += stride) {
@@ -117,7 +117,7 @@ void Simulation::Compute(const Evaluate& evaluate) {
     const OneUser::Use use(&user_, &computation);
     const bool ok = evaluate();
     unresolved = NumUnresolvedSteps(shooting_.simulator());
-    const std::string why = shooting_.WhyFailed();
+    const std::string why = shooting_.FailureReason();
     if (ok && why.empty()) return;
     failure = why.empty() ? contact_ + ": the loss is not finite"
                           : (ok ? "the gradient is not finite: " : "the rollout fails: ") + why;

@@ -150,7 +150,7 @@ py::list BoundsToPython(const Scene& scene, const std::vector<SequenceBound>& bo
 // Returns the bound, and the exception that has stopped it, or None.
 py::tuple BoundScene(const Scene& scene, double loss, double gap, double seconds, std::size_t boxes) {
   if (const std::optional<SceneError> error = Validate(scene)) throw py::value_error(error->ToString());
-  if (const std::string why = WhyNotBounded(scene); !why.empty()) throw py::value_error(why);
+  if (const std::string why = UnsupportedByGlobalBound(scene); !why.empty()) throw py::value_error(why);
   if (!std::isfinite(loss)) throw py::value_error("loss: expected a finite number");
   if (!(gap > 0)) throw py::value_error("gap: expected a number > 0");
   if (!(seconds >= 0)) throw py::value_error("seconds: expected a number >= 0");

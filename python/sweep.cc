@@ -27,7 +27,7 @@ std::unique_ptr<PythonStudy> MakeStudy(const Scene& scene, const std::string& gr
   Request request;
   request.scene = scene;
   for (const std::string& contact : contacts) {
-    if (const std::string wrong = WhatIsWrongWith(contact); !wrong.empty()) throw py::value_error("contact: " + wrong);
+    if (const std::string wrong = Validate(contact); !wrong.empty()) throw py::value_error("contact: " + wrong);
   }
   request.contacts = contacts;
   for (const std::string& solver : solvers) {

@@ -116,7 +116,7 @@ inline HybridProblem LegHopperProblem() {
                                   .num_intervals = kIntervals},
                         .terms = {MakeEffortCost(0.002, 2),
                                   {.name = "apex",
-                                   .at = HybridTerm::At::kEvent,
+                                   .at = HybridTerm::Timing::kEvent,
                                    .mode = flight,
                                    .event = "hit foot",
                                    .before = true,

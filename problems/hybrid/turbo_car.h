@@ -67,7 +67,7 @@ inline HybridProblem TurboCarProblem(const TurboCar& car = {}, double goal = 200
   for (int i : {1, 2}) problem.terms[i].role = HybridTerm::Role::kEquality;
   problem.terms.push_back(
       {.name = "speed limit",
-       .at = HybridTerm::At::kEachInterval,
+       .at = HybridTerm::Timing::kEachInterval,
        .role = HybridTerm::Role::kInequality,
        .with_state = true,
        .function = std::make_shared<ceres::AutoDiffCostFunction<LargestSpeed, 1, 2>>(new LargestSpeed{limit})});

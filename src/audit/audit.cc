@@ -31,7 +31,7 @@ Eigen::VectorXd Stack(const ModelGradient& gradient, int intervals) {
   return Eigen::Map<Eigen::VectorXd>(all.data(), all.size());
 }
 
-ModelGradient FromClosedForm(const ClosedForm& closed_form, const Scene& scene) {
+ModelGradient ClosedFormGradient(const ClosedForm& closed_form, const Scene& scene) {
   ModelGradient gradient;
   gradient.contact = "closed form";
   gradient.num_steps = scene.steps;
@@ -139,7 +139,7 @@ std::string CauseOf(const ModelAudit& audit) {
   }
   const bool jumps = recognition && recognition->contact_class == ContactClass::kForceWithJump;
   if (const ContactError* first = audit.FirstWrong()) {
-    return first->why + (jumps ? "; its force jumps at the onset" : "");
+    return first->cause + (jumps ? "; its force jumps at the onset" : "");
   }
   if (audit.attribution && !audit.attribution->sequence.empty()) return audit.attribution->sequence;
   if (audit.attribution && !audit.attribution->ok()) return audit.attribution->reason;
@@ -189,7 +189,7 @@ GradientError CompareGradients(const ModelGradient& gradient, const ModelGradien
   return error;
 }
 
-std::optional<ModelGradient> ExactGradientOf(const Scene& scene, const StopRequest& stop) {
+std::optional<ModelGradient> ComputeExactGradient(const Scene& scene, const StopRequest& stop) {
   if (const ModelTraits* model = ExactModel()) {
     ModelGradient exact = ComputeGradient(model->name, scene, Precision::kDouble, stop);
     if (exact.ok() && exact.unresolved_steps == 0) {
@@ -200,8 +200,8 @@ std::optional<ModelGradient> ExactGradientOf(const Scene& scene, const StopReque
         exact.spread = run.spread;
       }
       if (exact.ambiguous.empty()) {
-        const Scene natural = InNaturalUnits(scene);
-        for (const OneSided& entry : OneSidedAtOnce(model->name, natural, exact.one_sided, stop)) {
+        const Scene natural = ToNaturalUnits(scene);
+        for (const OneSided& entry : OneSidedBySimultaneousEvents(model->name, natural, exact.one_sided, stop)) {
           exact.one_sided.push_back(entry);
         }
       }
@@ -210,7 +210,7 @@ std::optional<ModelGradient> ExactGradientOf(const Scene& scene, const StopReque
   }
   if (stop && stop()) return std::nullopt;
   if (const std::optional<ClosedForm> closed_form = EvaluateClosedForm(scene))
-    return FromClosedForm(*closed_form, scene);
+    return ClosedFormGradient(*closed_form, scene);
   return std::nullopt;
 }
 
@@ -220,10 +220,10 @@ const ContactError* ModelAudit::FirstWrong() const {
 }
 
 bool ModelAudit::ContradictsItself() const {
-  return black_box && black_box->own_gradient && own && own->agreement == Agreement::kDiffers;
+  return black_box && black_box->own_gradient && gradient_check && gradient_check->agreement == Agreement::kDiffers;
 }
 
-std::string ModelAudit::Why() const {
+std::string ModelAudit::VerdictReason() const {
   const bool resolved = gradient.unresolved_steps == 0;
   if (resolved && (verdict == Verdict::kRight || verdict == Verdict::kConsistent)) return "";
   if (verdict == Verdict::kBiased) return DescribeSurrogate(*this);
@@ -237,17 +237,18 @@ std::string ModelAudit::Why() const {
   if (verdict == Verdict::kIllConditioned) return cause;  // nor can differences of its loss be compared
   if (ContradictsItself()) {
     return "its gradient contradicts its own simulator: along a direction by " +
-           std::string(QuantityToString(own->quantity)) + " it is " + ToText(own->gradient, 4) +
-           ", differences of its loss give " + ToText(own->difference, 4) + "; correct the derivative first" +
-           (cause.empty() ? "" : "; " + cause);
+           std::string(QuantityToString(gradient_check->quantity)) + " it is " + ToText(gradient_check->gradient, 4) +
+           ", differences of its loss give " + ToText(gradient_check->difference, 4) +
+           "; correct the derivative first" + (cause.empty() ? "" : "; " + cause);
   }
-  if (!own || own->agreement != Agreement::kDiffers || (!black_box && IsNotMeantAsDerivative(gradient.contact))) {
+  if (!gradient_check || gradient_check->agreement != Agreement::kDiffers ||
+      (!black_box && IsNotMeantAsDerivative(gradient.contact))) {
     return cause;
   }
   return (cause.empty() ? "" : cause + "; ") + "agrees with no differences of its own loss";
 }
 
-std::string WhyNotComparable(const Contact& contact, const Scene& scene) {
+std::string ReasonNotComparable(const Contact& contact, const Scene& scene) {
   const ModelTraits* traits = FindContactModel(contact);
   const bool spins = traits != nullptr && traits->spins && HasFriction(scene) && !scene.Spins();
   return spins ? "friction spins the discs of this model; those of the exact gradient do not spin" : "";
@@ -286,12 +287,12 @@ ModelAudit AuditModel(const Contact& contact, const Scene& scene, Precision prec
   const ModelTraits* traits = FindContactModel(contact);
   if (reference && traits != nullptr && traits->event_driven) audit.gradient.one_sided = reference->one_sided;
   if (!keep(RecogniseContact(contact, scene, stop), &audit.recognition)) return audit;
-  if (!keep(CompareWithOwnDifferences(contact, scene, stop, threads()), &audit.own)) return audit;
+  if (!keep(CheckGradient(contact, scene, stop, threads()), &audit.gradient_check)) return audit;
   if (options.refinement.parameters) {
     audit.parameters = CompareParameters(contact, scene, ParametersToCompare(scene), stop);
     if (interrupted()) return audit;
   }
-  if (reference) audit.not_comparable = WhyNotComparable(contact, scene);
+  if (reference) audit.not_comparable = ReasonNotComparable(contact, scene);
   if (!audit.not_comparable.empty()) {
     audit.verdict = Verdict::kNotApplicable;
   } else if (reference) {

@@ -20,7 +20,7 @@ std::vector<Column> GradientColumns(const Scene& scene) {
     if (quantity == Quantity::kControl) names.resize(2 * scene.num_controlled());
     for (const std::string& name : names) columns.push_back({"d/d" + name, 5});
   }
-  for (int body : scene.control.turned) columns.push_back({"d/dtorque[0] " + scene.bodies[body].name, 5});
+  for (int body : scene.control.torque_bodies) columns.push_back({"d/dtorque[0] " + scene.bodies[body].name, 5});
   columns.insert(columns.end(), {{"rel. error", 3}, {"angle, rad", 3}});
   return columns;
 }
@@ -33,8 +33,8 @@ std::vector<Cell> GradientRow(const Scene& scene, const std::string& name, Cell 
   }
   const std::vector<double>& control = gradient.gradient.control;
   for (int i = 0; i < 2 * scene.num_controlled(); ++i) row.emplace_back(control[i]);
-  for (int t = 0; t < scene.num_turned(); ++t) {
-    row.emplace_back(control[scene.TurnIndex(0, t)] / scene.bodies[scene.control.turned[t]].radius);
+  for (int t = 0; t < scene.num_torques(); ++t) {
+    row.emplace_back(control[scene.TorqueIndex(0, t)] / scene.bodies[scene.control.torque_bodies[t]].radius);
   }
   return row;
 }
@@ -49,7 +49,7 @@ Cell VerdictCell(const QuantityStudy* study) {
   } else if (study->verdict != Verdict::kRight) {
     text += Format(", error %.2g", study->decisive);
   }
-  return Cell(text).With(ToneOf(study->verdict));
+  return Cell(text).WithTone(ToneOf(study->verdict));
 }
 
 // "d/dpy puck"
@@ -58,7 +58,7 @@ std::string NameOf(const Scene& scene, const OneSided& entry) {
   return "d/d" + std::string(quantity) + (entry.component == 0 ? "x " : "y ") + scene.bodies[entry.body].name;
 }
 
-const char* WhyNotJudged(OneSided::Side side) {
+const char* ReasonNotJudged(OneSided::Side side) {
   constexpr const char* kReasons[] = {"the exact one exists from above only, and is not judged",
                                       "the exact one exists from below only, and is not judged",
                                       "the exact one does not exist"};
@@ -110,7 +110,7 @@ Table VerdictTable(const AuditReport& report) {
   for (const ModelAudit& audit : report.models) {
     if (!audit.gradient.ok()) continue;
     std::vector<Cell> row = {LabelOf(audit.gradient.contact, audit.gradient.surrogate),
-                             Cell(VerdictToString(audit.verdict)).With(ToneOf(audit.verdict)),
+                             Cell(VerdictToString(audit.verdict)).WithTone(ToneOf(audit.verdict)),
                              audit.recognition && !audit.ContradictsItself()
                                  ? Cell(ContactClassToString(audit.recognition->contact_class))
                                  : Cell()};
@@ -122,7 +122,7 @@ Table VerdictTable(const AuditReport& report) {
     } else {
       row.insert(row.end(), 3, Cell());
     }
-    row.emplace_back(audit.Why());
+    row.emplace_back(audit.VerdictReason());
     table.AddRow(std::move(row));
   }
   return table;
@@ -132,15 +132,17 @@ Table BlackBoxTable(const AuditReport& report) {
   Table table(ColumnsOf(
       "simulator; reports; bits; motion; e:3; keep:3; feed:3; e, finer:3; keep, finer:3; feed, finer:3; gradient"));
   const auto add = [](const std::optional<BlackBoxFindings::HeadOn>& impact, std::vector<Cell>* row) {
-    for (const auto member :
-         {&BlackBoxFindings::HeadOn::e, &BlackBoxFindings::HeadOn::keep, &BlackBoxFindings::HeadOn::feed}) {
+    for (const auto member : {&BlackBoxFindings::HeadOn::e,
+                              &BlackBoxFindings::HeadOn::retention,
+                              &BlackBoxFindings::HeadOn::velocity_feedback}) {
       row->push_back(impact ? Cell((*impact).*member) : Cell());
     }
   };
   for (const ModelAudit& audit : report.models) {
     if (!audit.black_box || !audit.gradient.ok()) continue;
     const BlackBoxFindings& found = *audit.black_box;
-    std::vector<Cell> row = {audit.gradient.contact, found.says, found.precision_found, MotionToString(found.motion)};
+    std::vector<Cell> row = {
+        audit.gradient.contact, found.reported_name, found.precision_found, MotionToString(found.motion)};
     add(found.head_on, &row);
     add(found.finer, &row);
     row.emplace_back(found.own_gradient ? "its own" : "differences");
@@ -162,7 +164,7 @@ Table PlateauTable(const AuditReport& report) {
                     sweep.narrow,
                     sweep.wide,
                     sweep.exact,
-                    Cell(WidthFindingToString(sweep.finding)).With(tone)});
+                    Cell(WidthFindingToString(sweep.finding)).WithTone(tone)});
     }
   }
   return table;
@@ -173,8 +175,8 @@ std::string AuditText(const Scene& scene, const AuditReport& report, const std::
   const std::string& name = scene.name;
   std::string text;
   for (const ModelAudit& audit : report.models) {
-    const bool deceives = audit.black_box && audit.black_box->own_gradient && IsWrong(audit.verdict) && audit.own &&
-                          audit.own->agreement == Agreement::kAgrees;
+    const bool deceives = audit.black_box && audit.black_box->own_gradient && IsWrong(audit.verdict) &&
+                          audit.gradient_check && audit.gradient_check->agreement == Agreement::kAgrees;
     if (!deceives) continue;
     text += Paragraph("The gradient of " + audit.gradient.contact + " AGREES WITH DIFFERENCES, AND IS WRONG.",
                       layout.width) +
@@ -202,7 +204,7 @@ std::string AuditText(const Scene& scene, const AuditReport& report, const std::
       for (const OneSided& entry : report.reference->one_sided) {
         if (entry.side == side) names += (names.empty() ? "" : ", ") + NameOf(scene, entry);
       }
-      if (!names.empty()) remark(names, WhyNotJudged(side));
+      if (!names.empty()) remark(names, ReasonNotJudged(side));
     }
   }
   for (const ModelAudit& audit : report.models) {

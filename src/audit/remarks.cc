@@ -102,7 +102,7 @@ Remarks RemarksOn(const CheckedRun& run) {
 
 Remarks RemarksOn(const HybridSimulator& simulator, std::optional<double> integration_error, double tolerance) {
   Remarks remarks;
-  if (const std::string why = simulator.WhyNotDifferentiable(); !why.empty()) remarks.push_back({"derivative", why});
+  if (const std::string why = simulator.ReasonNotDifferentiable(); !why.empty()) remarks.push_back({"derivative", why});
   if (integration_error && !(*integration_error <= std::max(kMostOfTolerance * tolerance, kRounding))) {
     remarks.push_back({"integration error",
                        "the relative error of the final state and of the times of events is " +

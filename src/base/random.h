@@ -21,7 +21,7 @@ class Random {
   double Symmetric() { return 2 * Unit() - 1; }
   double Uniform(double low, double high) { return low + (high - low) * Unit(); }
   // Returns one of 0 .. count - 1; the probabilities differ by less than 1e-10. Precondition: count > 0.
-  int Below(int count) { return static_cast<int>(engine_() % static_cast<std::uint64_t>(count)); }
+  int UniformIndex(int count) { return static_cast<int>(engine_() % static_cast<std::uint64_t>(count)); }
   // Returns two independent standard normal variates (Box and Muller 1958).
   Vec2d Normal() {
     const double length = std::sqrt(-2 * std::log(1 - Unit()));

@@ -67,7 +67,7 @@ class Cell {
   template <typename T>
   Cell(const std::optional<T>& value) : Cell(value ? Cell(*value) : Cell()) {}  // NOLINT
 
-  Cell& With(Tone tone) {
+  Cell& WithTone(Tone tone) {
     tone_ = tone;
     return *this;
   }

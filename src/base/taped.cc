@@ -2,18 +2,18 @@
 
 namespace saltus {
 
-Tape& Tape::OfThread() {
+Tape& Tape::ThreadTape() {
   static thread_local Tape tape;  // the operators of a scalar have no argument by which a tape could reach them
   return tape;
 }
 
-Taped Taped::Of(double value, const Taped& a, double by_a) {
-  return {value, a.place_ == 0 ? 0 : Tape::OfThread().Add(a.place_, by_a)};
+Taped Taped::FromDerivatives(double value, const Taped& a, double by_a) {
+  return {value, a.place_ == 0 ? 0 : Tape::ThreadTape().Add(a.place_, by_a)};
 }
 
-Taped Taped::Of(double value, const Taped& a, double by_a, const Taped& b, double by_b) {
+Taped Taped::FromDerivatives(double value, const Taped& a, double by_a, const Taped& b, double by_b) {
   if (a.place_ == 0 && b.place_ == 0) return Taped(value);
-  return {value, Tape::OfThread().Add(a.place_, by_a, b.place_, by_b)};
+  return {value, Tape::ThreadTape().Add(a.place_, by_a, b.place_, by_b)};
 }
 
 void Tape::AddMap(std::span<const Taped> inputs, std::span<Taped> outputs, PullBack pull_back) {

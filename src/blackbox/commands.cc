@@ -13,7 +13,7 @@ constexpr std::size_t kMostSessions = 3;
 constexpr std::size_t kShortLine = 1 << 20, kDigits = 40;  // characters of a line, and of a number
 
 // Returns the scene without the data that each question states again.
-Scene WithoutMotion(Scene scene) {
+Scene RemoveMotion(Scene scene) {
   scene.name = "scene";
   scene.duration = scene.steps = 1;
   for (Body& body : scene.bodies) {
@@ -27,26 +27,32 @@ Scene WithoutMotion(Scene scene) {
 }
 
 // Returns the step of a motion from a state in which `first` steps of the grid have passed.
-Question StepOf(const Scene& scene, const Question& motion, int first, int steps, std::vector<double> state) {
+BlackBoxRequest StepOf(const Scene& scene, const BlackBoxRequest& motion, int first, int steps,
+                       std::vector<double> state) {
   std::vector<double> forces(2 * scene.num_bodies());
   const std::size_t width = scene.control_width(), row = first * width;
   for (std::size_t i = 0; i < width && row + i < motion.control.size(); ++i) {
     forces[2 * scene.control.bodies[i / 2] + i % 2] = motion.control[row + i];
   }
-  return {
-      Question::Kind::kStep, steps, motion.duration * steps / motion.steps, std::move(state), std::move(forces), {}};
+  return {BlackBoxRequest::Kind::kStep,
+          steps,
+          motion.duration * steps / motion.steps,
+          std::move(state),
+          std::move(forces),
+          {}};
 }
 
 // Returns the request of a question, whose answer becomes `answer`. A command that knows single steps only is asked for
 // one after the other.
-Session::Request RequestOf(const Scene& scene, const Question& question, const BlackBoxTraits& traits, Answer* answer) {
+Session::Request RequestOf(const Scene& scene, const BlackBoxRequest& question, const BlackBoxTraits& traits,
+                           BlackBoxAnswer* answer) {
   const std::size_t steps = question.steps + 1;
   Session::Request request{
       Describe(question), {}, kShortLine + kDigits * steps * (4 * scene.num_bodies() + scene.control_width()), nullptr};
-  if (traits.simulate || question.kind == Question::Kind::kStep) {
-    request.asked = QuestionToJson(scene, question, traits);
+  if (traits.simulate || question.kind == BlackBoxRequest::Kind::kStep) {
+    request.asked = RequestToJson(scene, question, traits);
     request.take = [&scene, &question, &traits, answer](const ProtocolJson& json, ProtocolJson*) {
-      *answer = AnswerFrom(json, scene, question, traits);
+      *answer = ParseAnswer(json, scene, question, traits);
       return false;
     };
     return request;
@@ -54,15 +60,15 @@ Session::Request RequestOf(const Scene& scene, const Question& question, const B
   const auto step_from = [&scene, &question, &traits](int k, std::vector<double> state) {
     return StepOf(scene, question, k * traits.grid_steps, traits.grid_steps, std::move(state));
   };
-  request.asked = QuestionToJson(scene, step_from(0, question.initial), traits);
+  request.asked = RequestToJson(scene, step_from(0, question.initial), traits);
   request.take = [=, &scene, &question, &traits, k = 0](const ProtocolJson& json, ProtocolJson* asked) mutable {
-    const Answer after = AnswerFrom(json, scene, step_from(0, {}), traits);
+    const BlackBoxAnswer after = ParseAnswer(json, scene, step_from(0, {}), traits);
     if (question.states && k == 0) answer->states = question.initial;
     if (question.states) answer->states.insert(answer->states.end(), after.final.begin(), after.final.end());
     answer->error = after.error;
     answer->final = after.final;
     if (++k * traits.grid_steps >= question.steps || !after.error.empty()) return false;
-    *asked = QuestionToJson(scene, step_from(k, after.final), traits);
+    *asked = RequestToJson(scene, step_from(k, after.final), traits);
     return true;
   };
   return request;
@@ -75,7 +81,7 @@ CommandBox::CommandBox(CommandOptions options) : options_(std::move(options)) {}
 CommandBox::~CommandBox() = default;
 
 Session* CommandBox::SessionOf(const Scene& scene) {
-  const Scene still = WithoutMotion(scene);
+  const Scene still = RemoveMotion(scene);
   const auto known = std::ranges::find(sessions_, still, &std::pair<Scene, Session>::first);
   if (known != sessions_.end()) {
     sessions_.splice(sessions_.end(), sessions_, known);
@@ -97,22 +103,22 @@ BlackBoxTraits CommandBox::Describe(const Scene& scene) {
   return traits;
 }
 
-std::vector<Answer> CommandBox::Ask(const Scene& scene, const std::vector<Question>& questions,
-                                    const StopRequest& stop) {
+std::vector<BlackBoxAnswer> CommandBox::Evaluate(const Scene& scene, const std::vector<BlackBoxRequest>& questions,
+                                                 const StopRequest& stop) {
   const std::lock_guard lock(mutex_);
-  std::vector<Answer> answers(questions.size());
+  std::vector<BlackBoxAnswer> answers(questions.size());
   std::string failure;
   if (Session* session = SessionOf(scene)) {
     std::vector<Session::Request> requests;
     for (std::size_t i = 0; i < questions.size(); ++i) {
       requests.push_back(RequestOf(scene, questions[i], session->traits(), &answers[i]));
     }
-    if (!session->Ask(std::move(requests), stop)) broken_ = session->broken();
+    if (!session->Evaluate(std::move(requests), stop)) broken_ = session->broken();
     if (!broken_.empty()) sessions_.clear();
     failure = kStopped;
   }
   if (!broken_.empty()) failure = broken_;
-  for (Answer& answer : answers) {
+  for (BlackBoxAnswer& answer : answers) {
     if (answer.final.empty() && answer.error.empty()) answer.error = failure;
   }
   return answers;
@@ -127,7 +133,7 @@ constexpr std::size_t kMostCharacters = 1 << 20;  // of an answer
 CommandScheme::CommandScheme(const HybridSystem& system, CommandOptions options, const ProtocolJson& scene)
     : system_(system), name_(options.name), session_(HelloOf(system, scene), options) {}
 
-int CommandScheme::Ask(const SchemeStep& step, double* next, double* jacobian, std::string* error) {
+int CommandScheme::Evaluate(const SchemeStep& step, double* next, double* jacobian, std::string* error) {
   *error = session_.traits().not_applicable;
   if (error->empty()) *error = session_.traits().error;
   if (!error->empty()) return -1;
@@ -147,17 +153,17 @@ int CommandScheme::Ask(const SchemeStep& step, double* next, double* jacobian, s
     knows_precision_ = true;
     return false;
   };
-  session_.Ask({{"step", StepToJson(system_, step, jacobian != nullptr), kMostCharacters, take}});
+  session_.Evaluate({{"step", StepToJson(system_, step, jacobian != nullptr), kMostCharacters, take}});
   if (!session_.broken().empty()) *error = session_.broken();
   return error->empty() ? mode : -1;
 }
 
 int CommandScheme::Step(const SchemeStep& step, double* next, double* jacobian, std::string* error) {
-  if (jacobian == nullptr || HasJacobian()) return Ask(step, next, jacobian, error);
+  if (jacobian == nullptr || HasJacobian()) return Evaluate(step, next, jacobian, error);
   const StepFunction ask = [this](const SchemeStep& at, double* after, std::string* why) {
-    return Ask(at, after, nullptr, why);
+    return Evaluate(at, after, nullptr, why);
   };
-  if (!knows_precision_ && Ask(step, next, nullptr, error) < 0) return -1;
+  if (!knows_precision_ && Evaluate(step, next, nullptr, error) < 0) return -1;
   const double precision = is_float32_ ? std::numeric_limits<float>::epsilon() : std::numeric_limits<double>::epsilon();
   return DifferenceStep(system_, step, ask, next, jacobian, error, precision);
 }

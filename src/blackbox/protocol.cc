@@ -65,7 +65,7 @@ ProtocolJson StepToJson(const std::string& mode, double t, double h, std::span<c
           {"parameters", list(parameters)}};
 }
 
-std::string KindName(Question::Kind kind) {
+std::string KindName(BlackBoxRequest::Kind kind) {
   constexpr const char* kNames[] = {"simulate", "gradient", "step"};
   return kNames[static_cast<int>(kind)];
 }
@@ -126,31 +126,30 @@ ProtocolJson HelloOf(const HybridSystem& system, const ProtocolJson& scene) {
   return hello;
 }
 
-ProtocolJson QuestionToJson(const Scene& scene, const Question& question, const BlackBoxTraits& traits) {
+ProtocolJson RequestToJson(const Scene& scene, const BlackBoxRequest& request, const BlackBoxTraits& traits) {
   ProtocolJson asked;
-  if (question.kind == Question::Kind::kStep && traits.names) {
-    asked = StepToJson(kDiscs, 0, question.duration, question.initial, question.control, {});
-  } else if (question.kind == Question::Kind::kStep) {
-    asked = {{"h", question.duration},
-             {"state", RowsToJson(question.initial, 4)},
-             {"force", RowsToJson(question.control, 2)}};
+  if (request.kind == BlackBoxRequest::Kind::kStep && traits.names) {
+    asked = StepToJson(kDiscs, 0, request.duration, request.initial, request.control, {});
+  } else if (request.kind == BlackBoxRequest::Kind::kStep) {
+    asked = {
+        {"h", request.duration}, {"state", RowsToJson(request.initial, 4)}, {"force", RowsToJson(request.control, 2)}};
   } else {
-    std::vector<double> control = question.control;
+    std::vector<double> control = request.control;
     const std::size_t width = scene.control_width();
     const bool constant = std::equal(control.begin() + std::min(width, control.size()), control.end(), control.begin());
     if (constant && control.size() > width) control.resize(width);
-    asked = {{"steps", question.steps},
-             {"duration", question.duration},
-             {"initial", RowsToJson(question.initial, 4)},
+    asked = {{"steps", request.steps},
+             {"duration", request.duration},
+             {"initial", RowsToJson(request.initial, 4)},
              {"control", ControlRowsToJson(control, scene.num_controlled())}};
   }
-  if (question.kind == Question::Kind::kGradient) {
-    asked["of_final"] = RowsToJson(question.of_final, 4);
-    if (question.parameters) asked["parameters"] = true;
-  } else if (question.kind == Question::Kind::kSimulate && traits.states) {
-    asked["states"] = question.states;
+  if (request.kind == BlackBoxRequest::Kind::kGradient) {
+    asked["of_final"] = RowsToJson(request.final_cotangent, 4);
+    if (request.parameters) asked["parameters"] = true;
+  } else if (request.kind == BlackBoxRequest::Kind::kSimulate && traits.states) {
+    asked["states"] = request.states;
   }
-  return {{KindName(question.kind), std::move(asked)}};
+  return {{KindName(request.kind), std::move(asked)}};
 }
 
 ProtocolJson StepToJson(const HybridSystem& system, const SchemeStep& step, bool jacobian) {
@@ -222,18 +221,18 @@ std::string ErrorIn(const ProtocolJson& reply) {
   return words.empty() ? "an error without words" : words;
 }
 
-Answer AnswerFrom(const ProtocolJson& json, const Scene& scene, const Question& question,
-                  const BlackBoxTraits& traits) {
-  Answer answer;
+BlackBoxAnswer ParseAnswer(const ProtocolJson& json, const Scene& scene, const BlackBoxRequest& request,
+                           const BlackBoxTraits& traits) {
+  BlackBoxAnswer answer;
   answer.error = ErrorIn(json);
   if (!answer.error.empty()) return answer;
-  const std::size_t discs = scene.num_bodies(), pushed = scene.num_controlled(), steps = question.steps;
-  if (question.kind == Question::Kind::kStep) {
+  const std::size_t discs = scene.num_bodies(), pushed = scene.num_controlled(), steps = request.steps;
+  if (request.kind == BlackBoxRequest::Kind::kStep) {
     answer.final = NumbersAt(json, "state", traits.names ? std::vector{4 * discs} : std::vector{discs, std::size_t{4}});
     return answer;
   }
   answer.final = NumbersAt(json, "final", {discs, 4});
-  if (question.kind == Question::Kind::kGradient) {
+  if (request.kind == BlackBoxRequest::Kind::kGradient) {
     answer.initial = NumbersAt(json, "initial", {discs, 4});
     if (pushed > 0) answer.control = NumbersAt(json, "control", {steps, pushed, 2});
     const auto given = json.find("parameters");
@@ -244,15 +243,15 @@ Answer AnswerFrom(const ProtocolJson& json, const Scene& scene, const Question& 
     for (const auto& [name, value] : named.items()) {
       answer.parameters.emplace_back(name, NumbersFrom(value, {}, "\"parameters\"")[0]);
     }
-  } else if (traits.states && question.states) {
+  } else if (traits.states && request.states) {
     answer.states = NumbersAt(json, "states", {steps / traits.grid_steps + 1, discs, 4});
   }
   return answer;
 }
 
-std::string Describe(const Question& question) {
-  const bool step = question.kind == Question::Kind::kStep;
-  return KindName(question.kind) + (step ? "" : " of " + std::to_string(question.steps) + " steps");
+std::string Describe(const BlackBoxRequest& request) {
+  const bool step = request.kind == BlackBoxRequest::Kind::kStep;
+  return KindName(request.kind) + (step ? "" : " of " + std::to_string(request.steps) + " steps");
 }
 
 std::string Excerpt(const std::string& text) {

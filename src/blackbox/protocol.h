@@ -38,18 +38,18 @@ ProtocolJson SceneToJson(const RigidBodies2D& bodies);
 BlackBoxTraits ReadHello(const std::string& line);
 
 // Return a question without its id. The traits are those of the simulator that is asked.
-ProtocolJson QuestionToJson(const Scene& scene, const Question& question, const BlackBoxTraits& traits);
+ProtocolJson RequestToJson(const Scene& scene, const BlackBoxRequest& request, const BlackBoxTraits& traits);
 ProtocolJson StepToJson(const HybridSystem& system, const SchemeStep& step, bool jacobian);
 // Returns an answer as an object. Throws ProtocolError if it is none, or of another id.
 ProtocolJson ReadReply(const std::string& line, std::int64_t id);
 // Returns the reason in a reply without an answer; empty if there is an answer.
 std::string ErrorIn(const ProtocolJson& reply);
 // Reads a reply. Throws ProtocolError.
-Answer AnswerFrom(const ProtocolJson& reply, const Scene& scene, const Question& question,
-                  const BlackBoxTraits& traits);
+BlackBoxAnswer ParseAnswer(const ProtocolJson& reply, const Scene& scene, const BlackBoxRequest& request,
+                           const BlackBoxTraits& traits);
 
 // Describes a question for messages: "simulate of 480 steps".
-std::string Describe(const Question& question);
+std::string Describe(const BlackBoxRequest& request);
 // Returns the beginning of a text, in quotes and without unprintable characters: at most 80 characters.
 std::string Excerpt(const std::string& text);
 

@@ -64,7 +64,7 @@ struct Expected {
 class Conversation {
  public:
   using Clock = std::chrono::steady_clock;
-  using OnLine = std::function<void(const Expected& expected, const std::string& line)>;
+  using LineCallback = std::function<void(const Expected& expected, const std::string& line)>;
 
   Conversation(const std::string& command, std::function<void(const std::string&)> on_error_line);
 
@@ -73,7 +73,7 @@ class Conversation {
   void Write();
   // Writes and reads as much as the pipes allow, and calls on_line for each line that has arrived. A ProtocolError
   // thrown by on_line is a failure.
-  void Exchange(const OnLine& on_line);
+  void Exchange(const LineCallback& on_line);
   // Fails if nothing has arrived for this long.
   void CheckTime(double seconds);
 
@@ -85,8 +85,8 @@ class Conversation {
 
  private:
   void Fail(const std::string& why);
-  void Read(const OnLine& on_line);
-  void TakeLines(const OnLine& on_line);
+  void Read(const LineCallback& on_line);
+  void TakeLines(const LineCallback& on_line);
   void ReadErrors();
 
   std::string failure_;
@@ -232,7 +232,7 @@ void Conversation::Fail(const std::string& why) {
   process_.End();
 }
 
-void Conversation::Exchange(const OnLine& on_line) {
+void Conversation::Exchange(const LineCallback& on_line) {
   if (failure_.empty()) Write();
   if (failure_.empty()) ReadErrors();
   if (failure_.empty()) Read(on_line);
@@ -273,7 +273,7 @@ void Conversation::AddTo(std::vector<pollfd>* waited) const {
   if (has_unwritten()) waited->push_back({process_.input(), POLLOUT, 0});
 }
 
-void Conversation::Read(const OnLine& on_line) {
+void Conversation::Read(const LineCallback& on_line) {
   std::array<char, kBlock> block;
   ssize_t count = 0;
   while (failure_.empty() && (count = read(process_.output(), block.data(), block.size())) > 0) {
@@ -288,7 +288,7 @@ void Conversation::Read(const OnLine& on_line) {
   Fail(end + cut + ", expected an answer");
 }
 
-void Conversation::TakeLines(const OnLine& on_line) {
+void Conversation::TakeLines(const LineCallback& on_line) {
   std::size_t begin = 0;
   for (std::size_t end; failure_.empty() && (end = unread_.find('\n', begin)) != std::string::npos; begin = end + 1) {
     const std::string line = unread_.substr(begin, end - begin);
@@ -353,7 +353,7 @@ void Session::Exchange(const std::function<void(int index, const std::string& li
   }
 }
 
-bool Session::Ask(std::vector<Request> requests, const StopRequest& stop) {
+bool Session::Evaluate(std::vector<Request> requests, const StopRequest& stop) {
   while (static_cast<int>(copies_.size()) < options_.copies && copies_.size() * kForACopy < requests.size()) AddCopy();
   std::deque<int> waiting(requests.size());
   for (int i = 0; i < static_cast<int>(requests.size()); ++i) waiting[i] = i;

@@ -46,7 +46,7 @@ class Session {
   const std::string& broken() const { return broken_; }
   const BlackBoxTraits& traits() const { return traits_; }
   // Asks all. Returns whether it was done; if not, the command is broken or it was stopped.
-  bool Ask(std::vector<Request> requests, const StopRequest& stop = nullptr);
+  bool Evaluate(std::vector<Request> requests, const StopRequest& stop = nullptr);
 
  private:
   void AddCopy();
@@ -71,7 +71,8 @@ class CommandBox final : public BlackBox {
 
   const std::string& name() const override { return options_.name; }
   BlackBoxTraits Describe(const Scene& scene) override;
-  std::vector<Answer> Ask(const Scene& scene, const std::vector<Question>& questions, const StopRequest& stop) override;
+  std::vector<BlackBoxAnswer> Evaluate(const Scene& scene, const std::vector<BlackBoxRequest>& requests,
+                                       const StopRequest& stop) override;
 
  private:
   // Returns the session of a scene, or null if the command is broken.
@@ -95,7 +96,7 @@ class CommandScheme final : public HybridScheme {
   bool HasJacobian() const override { return session_.traits().jacobian; }
 
  private:
-  int Ask(const SchemeStep& step, double* next, double* jacobian, std::string* error);
+  int Evaluate(const SchemeStep& step, double* next, double* jacobian, std::string* error);
 
   const HybridSystem system_;
   const std::string name_;

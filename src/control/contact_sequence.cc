@@ -11,28 +11,28 @@ std::string Names(const Scene& scene, const Candidate& c, const char* between = 
   return scene.bodies[c.a].name + between + (c.plane ? scene.planes[c.b].name : scene.bodies[c.b].name);
 }
 
-struct Thing {
+struct NamedIndex {
   int index = 0;
   bool plane = false;
 };
-using ThingOfName = std::unordered_map<std::string_view, Thing>;
+using IndicesByName = std::unordered_map<std::string_view, NamedIndex>;
 
-ThingOfName NamesIn(const Scene& scene) {
-  ThingOfName things;
-  for (int i = 0; i < scene.num_bodies(); ++i) things.emplace(scene.bodies[i].name, Thing{i, false});
+IndicesByName NamesIn(const Scene& scene) {
+  IndicesByName things;
+  for (int i = 0; i < scene.num_bodies(); ++i) things.emplace(scene.bodies[i].name, NamedIndex{i, false});
   for (size_t j = 0; j < scene.planes.size(); ++j) {
-    things.emplace(scene.planes[j].name, Thing{static_cast<int>(j), true});
+    things.emplace(scene.planes[j].name, NamedIndex{static_cast<int>(j), true});
   }
   return things;
 }
 
 // Returns every pair that `text` may name: more than one is possible, as names may have hyphens.
-ContactSequence FindPairs(const Scene& scene, const ThingOfName& things, std::string_view text) {
+ContactSequence FindPairs(const Scene& scene, const IndicesByName& things, std::string_view text) {
   ContactSequence found;
   for (size_t hyphen = text.find('-'); hyphen != std::string_view::npos; hyphen = text.find('-', hyphen + 1)) {
     const auto first = things.find(text.substr(0, hyphen)), second = things.find(text.substr(hyphen + 1));
     if (first == things.end() || second == things.end()) continue;
-    Thing a = first->second, b = second->second;
+    NamedIndex a = first->second, b = second->second;
     if (a.plane || (!b.plane && a.index > b.index)) std::swap(a, b);
     if (a.plane || (!b.plane && a.index == b.index)) continue;
     const bool moves = !scene.bodies[a.index].fixed || (!b.plane && !scene.bodies[b.index].fixed);
@@ -72,28 +72,28 @@ ContactSequence AllPairs(const Scene& scene) {
   return pairs;
 }
 
-std::string BeyondPlanes(const Scene& scene) {
+std::string NonPlaneGeometry(const Scene& scene) {
   if (scene.HasEdges()) return "walls that end (segments, polygons or arcs)";
   if (!scene.pockets.empty()) return "pockets that discs fall into";
   if (scene.table) return "a table that discs slide on";
   return "";
 }
 
-std::string BeyondBallistic(const Scene& scene) {
+std::string NonBallisticForces(const Scene& scene) {
   if (!scene.forces.empty()) return "drag or springs";
   return scene.HasPaths() ? "prescribed motions" : "";
 }
 
-std::string BeyondPlainDiscs(const Scene& scene) {
-  std::string beyond = BeyondPlanes(scene);
-  if (beyond.empty()) beyond = BeyondBallistic(scene);
+std::string NonBallisticFeatures(const Scene& scene) {
+  std::string beyond = NonPlaneGeometry(scene);
+  if (beyond.empty()) beyond = NonBallisticForces(scene);
   return beyond.empty() && scene.Spins() ? "discs that spin" : beyond;
 }
 
 std::string ParseContactSequence(const Scene& scene, std::string_view text, ContactSequence* sequence) {
   sequence->clear();
   if (text == "none") return "";
-  const ThingOfName things = NamesIn(scene);
+  const IndicesByName things = NamesIn(scene);
   while (true) {
     const size_t comma = text.find(',');
     const std::string pair(text.substr(0, comma));

@@ -36,9 +36,9 @@ Vec2<T> NearestWithinBounds(const Control& control, int c, const Vec2<T>& u) {
 }
 
 // Returns the bound on |torque / radius| of turned disc t, N; infinity without a bound.
-inline double MostTurn(const Scene& scene, int t) {
+inline double MaxTorqueForce(const Scene& scene, int t) {
   if (scene.control.max_torque.empty()) return std::numeric_limits<double>::infinity();
-  return scene.control.max_torque[t] / scene.bodies[scene.control.turned[t]].radius;
+  return scene.control.max_torque[t] / scene.bodies[scene.control.torque_bodies[t]].radius;
 }
 
 // Moves the forces and torques of all intervals of a control within their bounds.
@@ -50,9 +50,9 @@ inline void MoveWithinBounds(const Scene& scene, std::span<double> control) {
       const Vec2d u = NearestWithinBounds<double>(scene.control, c, {force[0], force[1]});
       std::copy_n(u.data(), 2, force);
     }
-    for (int t = 0; t < scene.num_turned(); ++t) {
-      double& turn = control[scene.TurnIndex(k, t)];
-      turn = std::clamp(turn, -MostTurn(scene, t), MostTurn(scene, t));
+    for (int t = 0; t < scene.num_torques(); ++t) {
+      double& turn = control[scene.TorqueIndex(k, t)];
+      turn = std::clamp(turn, -MaxTorqueForce(scene, t), MaxTorqueForce(scene, t));
     }
   }
 }

@@ -9,14 +9,14 @@ namespace {
 // interval.
 template <typename Visit>
 void ForEachNumber(const Scene& scene, const Visit& visit) {
-  const std::vector<int>&bodies = scene.control.bodies, &turned = scene.control.turned;
+  const std::vector<int>&bodies = scene.control.bodies, &turned = scene.control.torque_bodies;
   const int columns = ControlColumns(scene);
   for (int c = 0; c < scene.num_controlled(); ++c) {
     for (int j = 0; j < 2; ++j) visit(c * columns + j, 2 * c + j, 1.0);
   }
-  for (int t = 0; t < scene.num_turned(); ++t) {
+  for (int t = 0; t < scene.num_torques(); ++t) {
     const auto c = std::find(bodies.begin(), bodies.end(), turned[t]) - bodies.begin();
-    visit(static_cast<int>(c) * columns + 2, static_cast<int>(scene.TurnIndex(0, t)), scene.bodies[turned[t]].radius);
+    visit(static_cast<int>(c) * columns + 2, static_cast<int>(scene.TorqueIndex(0, t)), scene.bodies[turned[t]].radius);
   }
 }
 
@@ -35,15 +35,15 @@ std::vector<double> ToRows(const Scene& scene, std::span<const double> control, 
 
 }  // namespace
 
-int ControlColumns(const Scene& scene) { return scene.num_turned() > 0 ? 3 : 2; }
+int ControlColumns(const Scene& scene) { return scene.num_torques() > 0 ? 3 : 2; }
 
-std::string WhyNoControl(const Scene& scene, std::span<const double> rows) {
+std::string ValidateControlRows(const Scene& scene, std::span<const double> rows) {
   const std::size_t size = ControlColumns(scene) * static_cast<std::size_t>(scene.num_controlled());
   if (size == 0 ? !rows.empty() : rows.size() % size != 0) {
     return "found " + std::to_string(rows.size()) + " numbers, expected a multiple of " + std::to_string(size);
   }
-  const std::vector<int>& turned = scene.control.turned;
-  for (std::size_t i = 2; scene.num_turned() > 0 && i < rows.size(); i += 3) {
+  const std::vector<int>& turned = scene.control.torque_bodies;
+  for (std::size_t i = 2; scene.num_torques() > 0 && i < rows.size(); i += 3) {
     const int body = scene.control.bodies[i / 3 % scene.num_controlled()];
     if (rows[i] == 0 || std::find(turned.begin(), turned.end(), body) != turned.end()) continue;
     return "found a torque on " + scene.bodies[body].name + " in interval " + std::to_string(i / size) +

@@ -26,7 +26,7 @@ constexpr const char* kWayToEvents = "start from a guess that has them, or solve
 
 }  // namespace
 
-HybridProblem WithAllFree(HybridProblem problem) {
+HybridProblem FreeAllVariables(HybridProblem problem) {
   HybridInput& guess = problem.guess;
   guess.control.resize(static_cast<std::size_t>(guess.num_intervals) * problem.system.num_controls());
   problem.free = {.control = problem.system.num_controls() > 0, .duration = true};
@@ -47,19 +47,19 @@ bool IsOnGrid(const HybridProblem& problem) {
 
 HybridShooting::HybridShooting(const HybridProblem& problem)
     : problem_(problem), simulator_(problem.system, problem.integration) {
-  CHECK_EQ(WhatIsWrongWith(problem), "");
+  CHECK_EQ(Validate(problem), "");
   const int width = problem_.system.num_controls();
   start_ = problem_.guess;
   if (start_.control.empty()) start_.control.assign(static_cast<std::size_t>(start_.num_intervals) * width, 0.0);
   variables_ = FreeVariables(problem_.free, width, start_.num_intervals);
   for (const FreeVariable& variable : variables_) {
-    guess_.push_back(std::clamp(variable.In(start_), variable.min, variable.max));
+    guess_.push_back(std::clamp(variable.Access(start_), variable.min, variable.max));
   }
   CountResiduals();
 }
 
 bool HybridShooting::HasRows(const HybridTerm& term) const {
-  if (!term.IsCost() || (term.at == HybridTerm::At::kEvent && term.occurrence < 0)) return false;
+  if (!term.IsCost() || (term.at == HybridTerm::Timing::kEvent && term.occurrence < 0)) return false;
   return !(leaves_out_ && IsOfIntervalAlone(term));
 }
 
@@ -67,7 +67,7 @@ void HybridShooting::CountResiduals() {
   num_residuals_ = 0;
   for (const HybridTerm& term : problem_.terms) {
     if (!HasRows(term)) continue;
-    const bool repeats = term.at == HybridTerm::At::kEachInterval && term.interval < 0;
+    const bool repeats = term.at == HybridTerm::Timing::kEachInterval && term.interval < 0;
     num_residuals_ += (repeats ? start_.num_intervals : 1) * term.function->num_residuals();
   }
 }
@@ -86,7 +86,7 @@ bool HybridShooting::LeaveOutCostsOfIntervals() {
 
 HybridInput HybridShooting::InputAt(std::span<const double> z) const {
   HybridInput input = start_;
-  for (std::size_t i = 0; i < z.size(); ++i) variables_[i].In(input) = z[i];
+  for (std::size_t i = 0; i < z.size(); ++i) variables_[i].Access(input) = z[i];
   return input;
 }
 
@@ -109,14 +109,14 @@ bool HybridShooting::Rollout(std::span<const double> z, bool with_derivatives) {
 bool HybridShooting::RolloutOf(HybridInput input, bool with_derivatives) {
   input_ = std::move(input);
   has_motion_ = false;
-  if (why_ = WhatIsWrongWith(input_, problem_.system); !why_.empty()) return false;
+  if (why_ = Validate(input_, problem_.system); !why_.empty()) return false;
   has_motion_ = Move(input_, with_derivatives);
   return has_motion_ && FindPlaces();
 }
 
 bool HybridShooting::Move(const HybridInput& input, bool /*with_derivatives*/) {
   const bool moves = accurate_ ? simulator_.RolloutAccurately(input) : simulator_.Rollout(input);
-  return moves || Fail(simulator_.WhyFailed());
+  return moves || Fail(simulator_.FailureReason());
 }
 
 bool HybridShooting::Fail(std::string why) {
@@ -136,7 +136,7 @@ bool HybridShooting::FindPlaces() {
     std::vector<Place>& places = is_cost ? places_ : constraint_places_;
     const int state_size = term.with_state ? term.function->parameter_block_sizes()[0] : 0;
     const int count = term.function->num_residuals();
-    if (term.at == HybridTerm::At::kEvent) {
+    if (term.at == HybridTerm::Timing::kEvent) {
       int found = 0;
       for (std::size_t i = 0; i < events.size(); ++i) {
         if (!term.CountsAt(functions, events[i].mode, events[i].guard)) continue;
@@ -157,7 +157,7 @@ bool HybridShooting::FindPlaces() {
       if (HasRows(term)) rows += count;
       continue;
     }
-    const bool at_end = term.at == HybridTerm::At::kEnd;
+    const bool at_end = term.at == HybridTerm::Timing::kEnd;
     const int first = std::max(term.interval, 0), past = term.interval >= 0 ? first + 1 : input_.num_intervals;
     for (int k = first; k < (at_end ? 1 : past); ++k) {
       const int node = at_end ? input_.num_intervals : k, mode = ModeAt(node);
@@ -172,7 +172,7 @@ bool HybridShooting::FindPlaces() {
       if (counts && fits) {
         const double length = at_end ? 0 : times[k + 1] - times[k];
         const int first_row = HasRows(term) ? rows : -1;
-        places.push_back({&term, InMode(term, mode), at_end ? -1 : k, -1, state, times[node], length, first_row});
+        places.push_back({&term, CostInMode(term, mode), at_end ? -1 : k, -1, state, times[node], length, first_row});
       }
       if (HasRows(term)) rows += count;
     }
@@ -180,7 +180,7 @@ bool HybridShooting::FindPlaces() {
   return true;
 }
 
-std::shared_ptr<const ceres::CostFunction> HybridShooting::InMode(const HybridTerm& term, int mode) const {
+std::shared_ptr<const ceres::CostFunction> HybridShooting::CostInMode(const HybridTerm& term, int mode) const {
   return FunctionIn(term, problem_.system, mode, simulator_.steps_per_interval());
 }
 
@@ -196,7 +196,7 @@ std::vector<const double*> HybridShooting::BlocksOf(const Place& place) const {
   return blocks;
 }
 
-const HybridTerm* HybridShooting::TermThatJumps(int event, int interval, double loss) const {
+const HybridTerm* HybridShooting::FindJumpingTerm(int event, int interval, double loss) const {
   constexpr double kRounding = 1e-9, kViolated = 1e-8;
   const HybridFunctions& functions = problem_.system.functions();
   const HybridEvent& at = Events()[event];
@@ -204,7 +204,7 @@ const HybridTerm* HybridShooting::TermThatJumps(int event, int interval, double 
   double change = 0, size = std::abs(loss);
   const HybridTerm* last = nullptr;
   for (const HybridTerm& term : problem_.terms) {
-    if (term.at != HybridTerm::At::kEachInterval || !term.with_state) continue;
+    if (term.at != HybridTerm::Timing::kEachInterval || !term.with_state) continue;
     if (term.interval >= 0 && term.interval != interval) continue;
     const double change_before = change;
     bool violated = false;
@@ -213,7 +213,7 @@ const HybridTerm* HybridShooting::TermThatJumps(int event, int interval, double 
                           term.function->parameter_block_sizes()[0] == static_cast<int>(state.size());
       Values values;
       const double length = times[interval + 1] - times[interval];
-      const Place place{&term, InMode(term, mode), interval, -1, state, times[interval], length};
+      const Place place{&term, CostInMode(term, mode), interval, -1, state, times[interval], length};
       if (!counts || !ValuesAt(place, false, &values)) return;
       for (const double row : values.residuals) {
         if (term.IsCost()) {
@@ -232,7 +232,7 @@ const HybridTerm* HybridShooting::TermThatJumps(int event, int interval, double 
   return std::abs(change) <= kRounding * size ? nullptr : last;
 }
 
-std::string HybridShooting::WhereLossJumps(double loss) const {
+std::string HybridShooting::DescribeLossJumps(double loss) const {
   constexpr double kSameTime = 1e-12;  // of the duration
   const std::vector<double> times = input_.Times();
   std::string remark;
@@ -241,7 +241,7 @@ std::string HybridShooting::WhereLossJumps(double loss) const {
     const auto near = [&](double time) { return std::abs(time - at.time) <= kSameTime * input_.duration; };
     const auto node = std::ranges::find_if(times, near);
     if (node == times.end() || node + 1 == times.end()) continue;
-    const HybridTerm* term = TermThatJumps(event, static_cast<int>(node - times.begin()), loss);
+    const HybridTerm* term = FindJumpingTerm(event, static_cast<int>(node - times.begin()), loss);
     if (term == nullptr) continue;
     remark += (remark.empty() ? "" : "; ") + ("guard '" + problem_.system.GuardName(at.mode, at.guard)) +
               "' has an event at t = " + ToText(at.time, 6) + ", where " + term->name +
@@ -256,7 +256,7 @@ std::string HybridShooting::TermsWithoutEvents() const {
     const auto counts = [&](const HybridEvent& event) {
       return term.CountsAt(problem_.system.functions(), event.mode, event.guard);
     };
-    if (term.at != HybridTerm::At::kEvent || std::ranges::any_of(Events(), counts)) continue;
+    if (term.at != HybridTerm::Timing::kEvent || std::ranges::any_of(Events(), counts)) continue;
     const std::string where = term.mode < 0 ? "" : " in mode '" + problem_.system.ModeName(term.mode) + "'";
     remark += (remark.empty() ? "" : "; ") + term.name + " has no effect, as the motion has no events '" + term.event +
               "'" + where + "; " + kWayToEvents;
@@ -301,7 +301,7 @@ bool HybridShooting::FailAtDerivatives() {
       return Fail(place.term->name + ": the function has no finite derivative " + DescribePlace(place));
     }
   }
-  const std::string& why = simulator_.WhyNotFinite();
+  const std::string& why = simulator_.ReasonNotFinite();
   return Fail(why.empty() ? "the derivatives of the loss overflow" : why);
 }
 
@@ -346,7 +346,7 @@ bool HybridShooting::EvaluateTerms(std::vector<TermAt>* terms) {
   return true;
 }
 
-HybridShooting::Derivative HybridShooting::NoDerivative() const {
+HybridShooting::Derivative HybridShooting::MakeUndefinedDerivative() const {
   Derivative none;
   none.direct.initial.resize(input_.initial.size());
   none.direct.control.resize(input_.control.size());
@@ -427,7 +427,7 @@ HybridGradient HybridShooting::TotalOf(Derivative of, const HybridSensitivity* m
 bool HybridShooting::Evaluate(std::span<const double> z, double* loss, double* gradient) {
   if (!Rollout(z, gradient != nullptr)) return false;
   *loss = 0;
-  Derivative sum = NoDerivative();
+  Derivative sum = MakeUndefinedDerivative();
   Values values;
   for (const Place& place : places_) {
     if (!ValuesAt(place, gradient != nullptr, &values)) return FailAt(place);
@@ -442,7 +442,7 @@ bool HybridShooting::Evaluate(std::span<const double> z, double* loss, double* g
   if (gradient == nullptr) return true;
   if (sum.reads_motion) ++num_adjoints_;
   const HybridGradient by = TotalOf(std::move(sum), nullptr);
-  for (std::size_t i = 0; i < variables_.size(); ++i) gradient[i] = variables_[i].In(by);
+  for (std::size_t i = 0; i < variables_.size(); ++i) gradient[i] = variables_[i].Access(by);
   return AllFinite({gradient, variables_.size()}) || FailAtDerivatives();
 }
 
@@ -495,10 +495,10 @@ void HybridShooting::ResidualJacobian(double* jacobian) {
     const bool forward = motion && !(place.event >= 0 && place.term->before);
     const auto rows = static_cast<Eigen::Index>(values.residuals.size());
     for (Eigen::Index row = 0; row < rows; ++row) {
-      Derivative of_row = NoDerivative();
+      Derivative of_row = MakeUndefinedDerivative();
       PullBack(place, values, Eigen::RowVectorXd::Unit(rows, row), &of_row);
       const HybridGradient by = TotalOf(std::move(of_row), forward ? &*motion : nullptr);
-      for (std::size_t j = 0; j < variables_.size(); ++j) out(place.first_row + row, j) = variables_[j].In(by);
+      for (std::size_t j = 0; j < variables_.size(); ++j) out(place.first_row + row, j) = variables_[j].Access(by);
     }
   }
   if (!out.allFinite()) FailAtDerivatives();

@@ -17,14 +17,14 @@ namespace saltus {
 
 // The problem with everything free that a motion depends on, without bounds: its variables are the control, the initial
 // state, the parameters and the duration.
-HybridProblem WithAllFree(HybridProblem problem);
+HybridProblem FreeAllVariables(HybridProblem problem);
 
 // Whether the control, or terms, are given on the intervals of the guess, which must not move with events.
 bool IsOnGrid(const HybridProblem& problem);
 
 class HybridShooting : public ShootingFunction {
  public:
-  // Precondition: WhatIsWrongWith(problem) is empty.
+  // Precondition: Validate(problem) is empty.
   explicit HybridShooting(const HybridProblem& problem);
 
   const HybridProblem& problem() const { return problem_; }
@@ -37,7 +37,7 @@ class HybridShooting : public ShootingFunction {
   int num_variables() const override { return static_cast<int>(guess_.size()); }
   const std::vector<double>& initial_guess() const override { return guess_; }
   bool Evaluate(std::span<const double> z, double* loss, double* gradient) override;
-  std::string WhyFailed() const override { return why_; }
+  std::string FailureReason() const override { return why_; }
   bool stopped() const override { return stopped_; }
 
   // Costs that read nothing but the control and the length of their interval, in any mode: their residuals have a
@@ -61,7 +61,7 @@ class HybridShooting : public ShootingFunction {
   HybridInput InputAt(std::span<const double> z) const;
 
   // Computes the loss and the violation of the constraints of any input of the system. Returns false if they do not
-  // exist; WhyFailed() has the reason.
+  // exist; FailureReason() has the reason.
   struct Outcome {
     double loss = 0;
     double violation = 0;  // the largest |r| of an equality, r of an inequality
@@ -81,16 +81,16 @@ class HybridShooting : public ShootingFunction {
     std::vector<std::vector<double>> jacobians;  // of the function's blocks, row-major
     std::vector<std::vector<double>> blocks;     // what it reads
   };
-  // Returns false if a function has no finite value or derivative there; WhyFailed() has the reason.
+  // Returns false if a function has no finite value or derivative there; FailureReason() has the reason.
   bool EvaluateTerms(std::vector<TermAt>* terms);
   const std::vector<FreeVariable>& variables() const { return variables_; }
 
   // Returns the term by which the loss, of about this size, or a constraint jumps as an event of the last motion
   // crosses the beginning of an interval, where the term reads the state before the event or behind it; nullptr if none
   // does.
-  const HybridTerm* TermThatJumps(int event, int interval, double loss) const;
+  const HybridTerm* FindJumpingTerm(int event, int interval, double loss) const;
   // Returns a remark on the events of the last motion at which the loss jumps so; empty if there are none.
-  std::string WhereLossJumps(double loss) const;
+  std::string DescribeLossJumps(double loss) const;
   // Returns a remark on the terms at events of which the last motion has none; empty if there are none.
   std::string TermsWithoutEvents() const;
 
@@ -127,7 +127,7 @@ class HybridShooting : public ShootingFunction {
   // Finds every place of a term. Returns false if a term is not defined in this motion.
   bool FindPlaces();
   // Returns the function of a term in an interval that begins in a mode, or at the end.
-  std::shared_ptr<const ceres::CostFunction> InMode(const HybridTerm& term, int mode) const;
+  std::shared_ptr<const ceres::CostFunction> CostInMode(const HybridTerm& term, int mode) const;
   std::vector<const double*> BlocksOf(const Place& place) const;
   // Evaluates a term at a place. Returns false if the function has no finite value.
   bool ValuesAt(const Place& place, bool with_jacobians, Values* values) const;
@@ -138,7 +138,7 @@ class HybridShooting : public ShootingFunction {
     bool reads_motion = false;
     HybridGradient direct;
   };
-  Derivative NoDerivative() const;
+  Derivative MakeUndefinedDerivative() const;
   // Adds that of the residuals at a place, weighted.
   void PullBack(const Place& place, const Values& values, const Eigen::RowVectorXd& weights, Derivative* sum) const;
   // Returns the derivative by all of the input: by the sensitivities of the motion, or by an adjoint without these.

@@ -19,7 +19,7 @@ namespace saltus {
 namespace {
 
 // The scene with what moves its discs alone.
-Scene WithoutObjective(Scene scene) {
+Scene RemoveObjective(Scene scene) {
   scene.objective = {};
   scene.no_contact.clear();
   scene.design.clear();
@@ -28,16 +28,16 @@ Scene WithoutObjective(Scene scene) {
 
 // The scene whose control is a force on every disc that moves and, if a disc is turned, a torque on every one that
 // spins.
-Scene WithAllPushed(Scene scene) {
-  const bool turns = scene.num_turned() > 0;
+Scene ForceAllDiscs(Scene scene) {
+  const bool has_torques = scene.num_torques() > 0;
   scene.control = {};
   for (int i = 0; i < scene.num_bodies(); ++i) {
     if (scene.bodies[i].fixed) continue;
     scene.control.bodies.push_back(i);
-    if (turns && scene.bodies[i].Spins()) scene.control.turned.push_back(i);
+    if (has_torques && scene.bodies[i].Spins()) scene.control.torque_bodies.push_back(i);
   }
   scene.control.initial.assign(scene.control.bodies.size(), Vec2d::Zero());
-  scene.control.initial_torque.assign(scene.control.turned.size(), 0.0);
+  scene.control.initial_torque.assign(scene.control.torque_bodies.size(), 0.0);
   return scene;
 }
 
@@ -46,11 +46,11 @@ class IntegratedScene final : public Simulator {
   IntegratedScene(const Scene& scene, const ModelTraits& traits)
       : Simulator(scene, Precision::kDouble, /*grid_steps=*/1),
         traits_(traits),
-        pushed_(WithAllPushed(WithoutObjective(scene))),
+        pushed_(ForceAllDiscs(RemoveObjective(scene))),
         pairs_(AllPairs(scene)),
         places_(scene, SceneParameters::kAll),
-        motion_(SceneSystemOf(WithoutObjective(scene), SceneParameters::kNone),
-                {.stop = [this] { return stopped(); }}) {}
+        motion_(SceneSystemOf(RemoveObjective(scene), SceneParameters::kNone), {.stop = [this] { return stopped(); }}) {
+  }
 
   const ModelTraits& traits() const override { return traits_; }
   int body_size() const override { return initial_size() / num_bodies(); }
@@ -78,11 +78,11 @@ class IntegratedScene final : public Simulator {
       ++number;
     }
     if (ok || stopped()) return ok;
-    why_ = motion_.WhyFailed();
+    why_ = motion_.FailureReason();
     failure_ = {-1, -1, why_};
     if (const std::optional<double> time = motion_.accumulation()) {
       why_ = "impacts accumulate (Zeno behaviour), and discs do not come to rest on each other in scenes with " +
-             BeyondBallistic(scene_) +
+             NonBallisticForces(scene_) +
              ": end the motion before, or use a time-stepping model with short steps, such as ncp";
       const int step = std::min(static_cast<int>(*time / this->step()), num_steps_ - 1);
       failure_ = {step, touches_.empty() ? -1 : touches_.back().touch.candidate.a, why_};
@@ -121,7 +121,7 @@ class IntegratedScene final : public Simulator {
                  StepLinearization* linearization) const override {
     StepLinearization& out = *linearization = {};
     out.body_size = body_size();
-    out.turns = scene_.num_turned() > 0;
+    out.has_torques = scene_.num_torques() > 0;
     for (const Body& body : scene_.bodies) out.inverse_mass.push_back(InverseMass(body));
     StepLinearization::Island all;
     for (int i = 0; i < num_bodies(); ++i) all.bodies.push_back(i);
@@ -143,14 +143,14 @@ class IntegratedScene final : public Simulator {
         for (const int body : pushed_.control.bodies) {
           for (int j = 0; j < 2; ++j) all.B(place[row], 2 * body + j) = *u++;
         }
-        for (const int body : pushed_.control.turned) all.B(place[row], 2 * num_bodies() + body) = *u++;
+        for (const int body : pushed_.control.torque_bodies) all.B(place[row], 2 * num_bodies() + body) = *u++;
         if (with_parameters) all.P.row(place[row]) = ColumnsOf(u);
       }
     }
     out.islands.push_back(std::move(all));
   }
 
-  std::optional<FlightOver> FreeFlightOver(double /*h*/) const override { return std::nullopt; }
+  std::optional<VariableFreeFlight> FreeFlightOfLength(double /*h*/) const override { return std::nullopt; }
   void ExpandInitial(std::span<const double> initial, std::span<double> x) const override {
     std::ranges::copy(ToState(Started(initial), num_bodies()), x.begin());
   }
@@ -196,7 +196,7 @@ class IntegratedScene final : public Simulator {
   }
 
   void SetParameters(std::span<const double> cotangent, ParameterGradient* out) const {
-    HybridSimulator motion(SceneSystemOf(WithoutObjective(scene_), SceneParameters::kAll));
+    HybridSimulator motion(SceneSystemOf(RemoveObjective(scene_), SceneParameters::kAll));
     HybridInput input = input_;
     input.parameters.assign(places_.size(), 0.0);
     HybridGradient gradient;
@@ -215,7 +215,7 @@ class IntegratedScene final : public Simulator {
     if (scene_.Spins()) out->inertia.assign(&by[places_.Inertia(0)], &by[places_.Inertia(0)] + num_bodies());
     out->drag.assign(&by[places_.Drag(0)], &by[places_.Drag(0)] + num_bodies());
     // A constant force on a disc is one more in every interval.
-    const HybridGradient pushed = ByForces(cotangent);
+    const HybridGradient pushed = ForceGradient(cotangent);
     out->force.assign(num_bodies(), Vec2d::Zero());
     const std::size_t width = pushed_.control_width();
     for (std::size_t k = 0; k < pushed.control.size(); k += width) {
@@ -226,11 +226,11 @@ class IntegratedScene final : public Simulator {
     for (const auto& [parameter, min, max, moved] : scene_.design) {
       const bool position = parameter.kind == SceneParameter::Kind::kPosition;
       const double at_start = position ? gradient.initial[4 * parameter.body + parameter.component] : NAN;
-      out->design.push_back(ByParameter(scene_, parameter, *out).value_or(at_start));
+      out->design.push_back(SceneParameterDerivative(scene_, parameter, *out).value_or(at_start));
     }
   }
   // Returns the gradient by a force on every disc in each interval of the last rollout.
-  HybridGradient ByForces(std::span<const double> cotangent) const {
+  HybridGradient ForceGradient(std::span<const double> cotangent) const {
     HybridSimulator motion(SceneSystemOf(pushed_, SceneParameters::kNone));
     HybridInput input = input_;
     input.control.clear();
@@ -255,14 +255,14 @@ class IntegratedScene final : public Simulator {
     for (const int body : pushed_.control.bodies) {
       control->insert(control->end(), {force[2 * body], force[2 * body + 1]});
     }
-    for (const int body : pushed_.control.turned) control->push_back(force[2 * num_bodies() + body]);
+    for (const int body : pushed_.control.torque_bodies) control->push_back(force[2 * num_bodies() + body]);
   }
 
   // Whether a guard is that of a pair, and not of a time at which steps end.
   bool IsPair(int guard) const { return guard < std::ssize(pairs_); }
   Vec2d VelocityOfPlane(int plane, double time) const {
     const std::optional<PrescribedMotion>& motion = scene_.planes[plane].motion;
-    return motion ? PathMotion(*motion).At(time).velocity : Vec2d::Zero();
+    return motion ? PathMotion(*motion).SampleAt(time).velocity : Vec2d::Zero();
   }
   // Returns the touch of a pair at a time of a motion of equal steps.
   StepTouch TouchAt(const Candidate& pair, double time, int num_steps) const {
@@ -308,10 +308,10 @@ class IntegratedScene final : public Simulator {
 
 }  // namespace
 
-std::string WhyNotIntegrated(const Scene& scene) {
-  const std::string beyond = WhyNoHybridProblem(WithoutObjective(scene));
+std::string UnsupportedByIntegratedScene(const Scene& scene) {
+  const std::string beyond = UnsupportedByHybridProblem(RemoveObjective(scene));
   return beyond.empty() ? ""
-                        : "the scene has " + BeyondBallistic(scene) + " beside " + beyond +
+                        : "the scene has " + NonBallisticForces(scene) + " beside " + beyond +
                               ", for which the times of impacts are not found: use a time-stepping model such as lcp";
 }
 

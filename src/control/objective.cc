@@ -12,20 +12,20 @@ namespace saltus {
 namespace {
 
 // Returns how many entries of the state a term reads.
-int Width(const TerminalTerm& term) { return term.IsOfSpin() ? 1 : 2; }
+int Width(const TerminalTerm& term) { return term.IsRotational() ? 1 : 2; }
 
 // Returns the index of the first entry that a term reads in a state of `size` numbers.
 int Offset(const TerminalTerm& term, int body_size, std::size_t size) {
   CHECK(term.body >= 0 && (term.body + 1) * static_cast<std::size_t>(body_size) <= size)
       << "a terminal term of body " << term.body << ", which is not in the state";
-  CHECK(!term.IsOfSpin() || body_size == 4 + kSpin) << "a terminal term of spin, which is not in the state";
+  CHECK(!term.IsRotational() || body_size == 4 + kSpin) << "a terminal term of spin, which is not in the state";
   constexpr int kOffset[] = {0, 2, 4, 5};  // by quantity
   return term.body * body_size + kOffset[static_cast<int>(term.quantity)];
 }
 
 }  // namespace
 
-std::string BeyondTerminalLoss(const Objective& objective) {
+std::string NonTerminalTerms(const Objective& objective) {
   if (!objective.running.empty()) return "running costs";
   if (!objective.via.empty()) return "waypoint costs";
   if (objective.duration) return "a free duration";
@@ -39,8 +39,8 @@ std::string ConstraintsOf(const Objective& objective) {
   return objective.HasConstraints() ? "terminal equality constraints" : "";
 }
 
-std::string BeyondTerminalCost(const Scene& scene) {
-  if (std::string found = BeyondTerminalLoss(scene.objective); !found.empty()) return found;
+std::string NonTerminalFeatures(const Scene& scene) {
+  if (std::string found = NonTerminalTerms(scene.objective); !found.empty()) return found;
   if (scene.control.IsBounded()) return "bounds on the control";
   return scene.no_contact.empty() ? "" : "pairs that must not touch";
 }
@@ -52,7 +52,7 @@ double TerminalLoss(const Objective& objective, std::span<const double> x, int b
     const double* q = &x[Offset(term, body_size, x.size())];
     if (term.component) {
       loss += term.weight * q[*term.component];
-    } else if (term.IsOfSpin()) {
+    } else if (term.IsRotational()) {
       const double miss = *q - term.target[0];
       loss += term.weight * miss * miss;
     } else {

@@ -1,5 +1,5 @@
-// What is asked of discs in a step of free flight, at the end and at the start, as functions for Ceres. Templates on T,
-// double or a Jet. SI units, or any others that fit.
+// Costs of discs in a step of free flight, at the end and at the start, as functions for Ceres. Templates on T, double
+// or a Jet. SI units, or any others that fit.
 #pragma once
 
 #include <ceres/dynamic_autodiff_cost_function.h>
@@ -86,7 +86,7 @@ struct StartGap {
 };
 
 // sqrt(weight T), so that the loss gains weight T. Block: the final time.
-struct DurationPrice {
+struct DurationCost {
   double weight;
   static constexpr int kRows = 1;
   template <typename T>

@@ -22,7 +22,7 @@ struct SceneConstraint {
 
 // Makes the problem, and tells which of its terms are hard terms, goal regions and limits of the speed. The pointers
 // are into `scene`, which must outlive them.
-HybridProblem HybridProblemOf(const Scene& scene, std::vector<SceneConstraint>* constraints);
+HybridProblem MakeHybridProblem(const Scene& scene, std::vector<SceneConstraint>* constraints);
 
 // The parameters of a scene's system: none, those of Scene::design in its order, whose values change the motion, or
 // all, by which the motion has derivatives alone.

@@ -50,10 +50,10 @@ constexpr int kOfLaw = 6;    // restitution, friction, and the inverse masses an
 // Where the numbers of a scene's bodies are in the state and in the control.
 class SceneLayout {
  public:
-  explicit SceneLayout(const Scene& scene) : scene_(scene), pushed_(scene.bodies.size(), -1), turned_(pushed_) {
+  explicit SceneLayout(const Scene& scene) : scene_(scene), pushed_(scene.bodies.size(), -1), torque_index_(pushed_) {
     for (int c = 0; c < scene.num_controlled(); ++c) pushed_[scene.control.bodies[c]] = 2 * c;
-    for (int t = 0; t < scene.num_turned(); ++t) {
-      turned_[scene.control.turned[t]] = static_cast<int>(scene.TurnIndex(0, t));
+    for (int t = 0; t < scene.num_torques(); ++t) {
+      torque_index_[scene.control.torque_bodies[t]] = static_cast<int>(scene.TorqueIndex(0, t));
     }
   }
 
@@ -79,11 +79,11 @@ class SceneLayout {
   int size() const { return running() + !scene_.objective.running.empty(); }
   // The first number of a body's force in a row of the control, and the number of its torque; -1: it has none.
   int ForceOn(int body) const { return pushed_[body]; }
-  int TorqueOn(int body) const { return turned_[body]; }
+  int TorqueOn(int body) const { return torque_index_[body]; }
 
  private:
   const Scene& scene_;
-  std::vector<int> pushed_, turned_;
+  std::vector<int> pushed_, torque_index_;
 };
 
 // Whether flights of a scene have no closed form, with derivatives by these parameters.
@@ -125,7 +125,7 @@ class SceneSystem final : public HybridFunctions {
   SceneSystem(const Scene& scene, SceneParameters parameters, const Simulator* flight,
               std::optional<ContactMode> regime)
       : HybridFunctions(LayoutOf(scene, parameters)),
-        scene_(WithParameters(scene, parameters)),
+        scene_(SelectParameters(scene, parameters)),
         flight_(flight),
         regime_(regime),
         at_(scene_),
@@ -156,19 +156,19 @@ class SceneSystem final : public HybridFunctions {
     for (const Body& body : scene_.bodies) paths_.push_back(motion_of(body.path));
     for (const Plane& plane : scene_.planes) motions_.push_back(motion_of(plane.motion));
     given_ = ConstantsOf(scene_);
-    const bool flies = BeyondBallistic(scene_).empty() && !parameters_.exist && scene_.objective.running.empty();
+    const bool flies = NonBallisticForces(scene_).empty() && !parameters_.exist && scene_.objective.running.empty();
     arcs_ = flies && scene_.design.empty();
     if (flies && (scene_.num_bodies() > 1 || flight_ != nullptr)) AddParts();
   }
 
   void Flow(const ModePoint& from, double* xdot) const override {
-    With(from.p, [&](const Constants& of) { Flow(of, from, xdot); });
+    CallWithConstants(from.p, [&](const Constants& of) { Flow(of, from, xdot); });
   }
   void Flow(const Constants& of, const ModePoint& from, double* xdot) const {
     std::fill_n(xdot, at_.size(), 0.0);
     for (int i = 0; i < at_.num_bodies(); ++i) {
       if (paths_[i]) {
-        const PathMotion::Point point = paths_[i]->At(from.t);
+        const PathMotion::Point point = paths_[i]->SampleAt(from.t);
         std::copy_n(point.velocity.data(), 2, xdot + at_.PositionOf(i));
         std::copy_n(point.acceleration.data(), 2, xdot + at_.VelocityOf(i));
       }
@@ -186,12 +186,12 @@ class SceneSystem final : public HybridFunctions {
       for (int j = 0; j < 2; ++j) xdot[row + j] += inverse_mass * force.value[j];
     });
     for (const RunningTerm& term : scene_.objective.running) {
-      xdot[at_.running()] += term.weight * MissOf(term, from.x, from.t).squaredNorm();
+      xdot[at_.running()] += term.weight * RunningResidual(term, from.x, from.t).squaredNorm();
     }
   }
 
   void FlowJacobian(const ModePoint& from, double* xdot, double* jacobian) const override {
-    With(from.p, [&](const Constants& of) { FlowJacobian(of, from, xdot, jacobian); });
+    CallWithConstants(from.p, [&](const Constants& of) { FlowJacobian(of, from, xdot, jacobian); });
     if (!flight_is_designed_ || !from.by_parameters) return;
     AddDifferences(from.p, at_.size(), at_.size() + 1, Columns(), jacobian, [&](const Constants& of, double* out) {
       Flow(of, from, out);
@@ -203,7 +203,7 @@ class SceneSystem final : public HybridFunctions {
     std::fill_n(jacobian, n * columns, 0.0);
     for (int i = 0; i < at_.num_bodies(); ++i) {
       if (paths_[i]) {
-        const PathMotion::Point point = paths_[i]->At(from.t);
+        const PathMotion::Point point = paths_[i]->SampleAt(from.t);
         for (int j = 0; j < 2; ++j) {
           jacobian[(at_.PositionOf(i) + j) * columns + n] = point.acceleration[j];
           jacobian[(at_.VelocityOf(i) + j) * columns + n] = point.jerk[j];
@@ -246,7 +246,7 @@ class SceneSystem final : public HybridFunctions {
     }
     for (const RunningTerm& term : scene_.objective.running) {
       double* row = jacobian + at_.running() * columns;
-      const Vec2d by = 2 * term.weight * MissOf(term, from.x, from.t), rate = RateOfTarget(term, from.t);
+      const Vec2d by = 2 * term.weight * RunningResidual(term, from.x, from.t), rate = RateOfTarget(term, from.t);
       for (int j = 0; j < 2; ++j) row[at_.IndexOf(term.body, term.quantity) + j] += by[j];
       row[n] -= by.dot(rate);
     }
@@ -264,7 +264,7 @@ class SceneSystem final : public HybridFunctions {
 
   bool Fly(const FlowStep& step, double* after, double* jacobian) const override {
     if (integrates_) return false;
-    With(step.p, [&](const Constants& of) { Fly(of, step, after, jacobian); });
+    CallWithConstants(step.p, [&](const Constants& of) { Fly(of, step, after, jacobian); });
     if (jacobian != nullptr && flight_is_designed_ && step.by_parameters) {
       AddDifferences(step.p, at_.size(), at_.size() + 1, Columns(), jacobian, [&](const Constants& of, double* out) {
         Fly(of, step, out, nullptr);
@@ -300,7 +300,7 @@ class SceneSystem final : public HybridFunctions {
     };
     for (int i = 0; i < at_.num_bodies(); ++i) {
       if (paths_[i]) {
-        const PathMotion::Point begin = paths_[i]->At(step.t), end = paths_[i]->At(step.t + h);
+        const PathMotion::Point begin = paths_[i]->SampleAt(step.t), end = paths_[i]->SampleAt(step.t + h);
         for (int j = 0; j < 2; ++j) {
           const int q = at_.PositionOf(i) + j, v = at_.VelocityOf(i) + j;
           after[q] += end.position[j] - begin.position[j];
@@ -344,7 +344,7 @@ class SceneSystem final : public HybridFunctions {
     return parts;
   }
   void MovePart(int part, const FlowStep& step, double* after, double* jacobian) const override {
-    With(step.p, [&](const Constants& of) { MovePart(of, part, step, after, jacobian); });
+    CallWithConstants(step.p, [&](const Constants& of) { MovePart(of, part, step, after, jacobian); });
     if (jacobian == nullptr || !flight_is_designed_ || !step.by_parameters) return;
     const int n = static_cast<int>(parts_[part].states.size()), m = static_cast<int>(parts_[part].controls.size());
     AddDifferences(
@@ -359,7 +359,7 @@ class SceneSystem final : public HybridFunctions {
     const int columns = control + m + 1;
     const double h = step.h, by = turns ? RateOfTurn(of.scene, body) : InverseMass(of.scene.bodies[body]);
     if (jacobian != nullptr) std::fill_n(jacobian, n * columns, 0.0);
-    const std::optional<FlightOver> over = flight_ != nullptr ? flight_->FreeFlightOver(h) : std::nullopt;
+    const std::optional<VariableFreeFlight> over = flight_ != nullptr ? flight_->FreeFlightOfLength(h) : std::nullopt;
     if (flight_ != nullptr && !over) std::fill_n(after, n, NAN);
     for (int j = 0; j < dimension; ++j) {
       const int v = dimension + j;
@@ -398,7 +398,7 @@ class SceneSystem final : public HybridFunctions {
 
   double Guard(const ModePoint& from, int guard) const override {
     if (IsWaypoint(guard)) return waypoints_[from.mode] - from.t;
-    return With(from.p, [&](const Constants& of) { return GapOf(of, guard, from); });
+    return CallWithConstants(from.p, [&](const Constants& of) { return GapOf(of, guard, from); });
   }
   double GuardRate(const ModePoint& from, int guard, const double* xdot, double* rate) const override {
     if (IsWaypoint(guard)) {
@@ -406,7 +406,7 @@ class SceneSystem final : public HybridFunctions {
       return Guard(from, guard);
     }
     const Candidate& c = pairs_[guard].contact;
-    return With(from.p, [&](const Constants& of) {
+    return CallWithConstants(from.p, [&](const Constants& of) {
       const Separation<double> apart = SeparationAt(of, guard, from);
       const Vec2d of_b = c.plane ? WallAt(c, from.t).velocity : TwoAt(xdot, at_.PositionOf(c.b));
       *rate = Dot(apart.normal, Vec2d(TwoAt(xdot, at_.PositionOf(c.a)) - of_b));
@@ -425,7 +425,7 @@ class SceneSystem final : public HybridFunctions {
       });
     }
     const Candidate& c = pairs_[guard].contact;
-    return With(from.p, [&](const Constants& of) {
+    return CallWithConstants(from.p, [&](const Constants& of) {
       const Separation<double> apart = SeparationAt(of, guard, from);
       if (c.plane) gradient[at_.size()] = -Dot(apart.normal, WallAt(c, from.t).velocity);
       for (int j = 0; j < 2; ++j) {
@@ -442,7 +442,7 @@ class SceneSystem final : public HybridFunctions {
     const Candidate& c = pairs_[guard].contact;
     const int sides = c.plane ? 1 : 2;
     const Separation<double> begin = SeparationAt(given_, guard, step);
-    // Of a relative to b; a plane rests at the point next to a.
+    // Position, velocity and acceleration of a relative to b; a plane rests at the point next to a.
     Vec2d p = begin.distance * begin.normal, v = TwoAt(step.x, at_.VelocityOf(c.a)), a = Vec2d::Zero();
     if (!c.plane) v -= TwoAt(step.x, at_.VelocityOf(c.b));
     for (int side = 0; side < sides; ++side) {
@@ -485,14 +485,14 @@ class SceneSystem final : public HybridFunctions {
       const auto impact = ImpactOf(of, guard, x, LawOf(of.laws[guard]), wall.velocity);
       out[0] = impact.speed;
       if (!regime_) return;
-      const auto most = of.laws[guard].MostDrag() * impact.speed;
+      const auto most = of.laws[guard].MaxStickRatio() * impact.speed;
       const auto slip = impact.sliding * impact.sliding - most * most;
       out[1] = *regime_ == ContactMode::kSlip ? -slip : slip;
     };
     std::array<Jet, kOfPair> x;
     for (int i = 0; i < kOfPair; ++i) x[i] = Jet(places[i] < 0 ? 0.0 : from.x[places[i]], i);
     std::array<Jet, 2> out;
-    With(from.p, [&](const Constants& of) { evaluate(of, x, out.data()); });
+    CallWithConstants(from.p, [&](const Constants& of) { evaluate(of, x, out.data()); });
     for (int row = 0; row < count; ++row) rows[row] = out[row].a;
     if (jacobian == nullptr) return;
     std::fill_n(jacobian, count * columns, 0.0);
@@ -514,7 +514,7 @@ class SceneSystem final : public HybridFunctions {
 
   int Reset(const ModePoint& from, int guard, double* x_plus) const override {
     if (!IsWaypoint(guard) && pairs_[guard].must_not_touch) return -1;
-    With(from.p, [&](const Constants& of) { Reset(of, from, guard, x_plus); });
+    CallWithConstants(from.p, [&](const Constants& of) { Reset(of, from, guard, x_plus); });
     return IsWaypoint(guard) ? from.mode + 1 : from.mode;
   }
   void Reset(const Constants& of, const ModePoint& from, int guard, double* x_plus) const {
@@ -534,7 +534,7 @@ class SceneSystem final : public HybridFunctions {
     std::fill_n(jacobian, n * columns, 0.0);
     for (int i = 0; i < n; ++i) jacobian[i * columns + i] = 1;
     if (IsWaypoint(guard) || next < 0) return next;
-    With(from.p, [&](const Constants& of) {
+    CallWithConstants(from.p, [&](const Constants& of) {
       if (parameters_.exist) {
         SetByPair<kOfPair + kOfLaw>(of, from, guard, jacobian);
       } else {
@@ -547,7 +547,7 @@ class SceneSystem final : public HybridFunctions {
     }
     return next;
   }
-  std::string WhyNoMode(const ModePoint& /*from*/, int guard) const override {
+  std::string ReasonNoMode(const ModePoint& /*from*/, int guard) const override {
     return guard >= 0 && pairs_[guard].must_not_touch
                ? ContactSequenceToString(scene_, {pairs_[guard].contact}) + " touch, which must not (no_contact)"
                : "";
@@ -577,7 +577,7 @@ class SceneSystem final : public HybridFunctions {
   }
   // Returns function(constants) of the parameters p. The last constants are kept, as many as a derivative takes.
   template <typename Function>
-  std::invoke_result_t<Function, const Constants&> With(const double* p, const Function& function) const {
+  std::invoke_result_t<Function, const Constants&> CallWithConstants(const double* p, const Function& function) const {
     if (scene_.design.empty()) return function(given_);
     std::shared_ptr<const Constants> constants;
     {
@@ -617,7 +617,7 @@ class SceneSystem final : public HybridFunctions {
       std::ranges::fill(sum, 0.0);
       for (const auto& [node, weight] : kRule) {
         values[k] = p[k] + node * width;
-        With(values.data(), [&](const Constants& of) { function(of, out.data()); });
+        CallWithConstants(values.data(), [&](const Constants& of) { function(of, out.data()); });
         for (int row = 0; row < rows; ++row) sum[row] += weight / width * out[row];
       }
       values[k] = p[k];
@@ -625,7 +625,7 @@ class SceneSystem final : public HybridFunctions {
     }
   }
 
-  static Scene WithParameters(Scene scene, SceneParameters parameters) {
+  static Scene SelectParameters(Scene scene, SceneParameters parameters) {
     if (parameters != SceneParameters::kDesign) scene.design.clear();
     return scene;
   }
@@ -662,7 +662,8 @@ class SceneSystem final : public HybridFunctions {
     for (const int body : scene.control.bodies) {
       for (const char* of : {".fx", ".fy"}) layout.control_names.push_back(scene.bodies[body].name + of);
     }
-    for (const int body : scene.control.turned) layout.control_names.push_back(scene.bodies[body].name + ".turn");
+    for (const int body : scene.control.torque_bodies)
+      layout.control_names.push_back(scene.bodies[body].name + ".turn");
     return layout;
   }
 
@@ -723,7 +724,7 @@ class SceneSystem final : public HybridFunctions {
   }
   // Returns the motion of a pair's plane at a time; for two discs, and for a plane that rests, velocities are zero.
   PathMotion::Point WallAt(const Candidate& c, double t) const {
-    if (c.plane && motions_[c.b]) return motions_[c.b]->At(t);
+    if (c.plane && motions_[c.b]) return motions_[c.b]->SampleAt(t);
     const Vec2d none = Vec2d::Zero();
     return {c.plane ? scene_.planes[c.b].point : none, none, none, none};
   }
@@ -743,7 +744,7 @@ class SceneSystem final : public HybridFunctions {
   double GapOf(const Constants& of, int guard, const ModePoint& from) const {
     return SeparationAt(of, guard, from).distance - of.laws[guard].contact_distance;
   }
-  Vec2d MissOf(const RunningTerm& term, const double* x, double t) const {
+  Vec2d RunningResidual(const RunningTerm& term, const double* x, double t) const {
     return TwoAt(x, at_.IndexOf(term.body, term.quantity)) - TargetAt(term, t);
   }
   static Vec2d RateOfTarget(const RunningTerm& term, double t) {
@@ -886,7 +887,7 @@ class SceneSystem final : public HybridFunctions {
     const Vec2<T> w = two(4) - two(6) - of_wall.cast<T>();
     const T speed = Dot(apart.normal, w);
     const L mobility = law[2] + law[3], turning = radius[0] * radius[0] * law[4] + radius[1] * radius[1] * law[5];
-    const T sliding = Dot(Perpendicular(apart.normal), w) - AtRims(of.laws[guard], std::array<T, 2>{x[8], x[9]});
+    const T sliding = Dot(Perpendicular(apart.normal), w) - RimVelocity(of.laws[guard], std::array<T, 2>{x[8], x[9]});
     return MakeImpact<T>(apart.normal,
                          speed,
                          sliding,
@@ -930,7 +931,7 @@ class SceneSystem final : public HybridFunctions {
 };
 
 // The residuals factor (x_i - target_i) of successive components of a state.
-struct Misses {
+struct ComponentResiduals {
   int first;
   double factor;
   std::vector<double> targets;
@@ -959,8 +960,8 @@ struct NormExcess {
 
 }  // namespace
 
-std::string WhyNoHybridProblem(const Scene& scene) {
-  if (const std::string beyond = BeyondPlanes(scene); !beyond.empty()) return beyond;
+std::string UnsupportedByHybridProblem(const Scene& scene) {
+  if (const std::string beyond = NonPlaneGeometry(scene); !beyond.empty()) return beyond;
   const auto has_force = [&](int body) {
     return std::ranges::any_of(scene.forces, [&](const StateForce& force) {
       const ForceAtState at = ForceAt(force, std::vector<double>(4 * scene.num_bodies()), 4);
@@ -982,7 +983,7 @@ std::string WhyNoHybridProblem(const Scene& scene) {
   return "";
 }
 
-HybridProblem HybridProblemOf(const Scene& scene) { return HybridProblemOf(scene, nullptr); }
+HybridProblem MakeHybridProblem(const Scene& scene) { return MakeHybridProblem(scene, nullptr); }
 
 HybridSystem SceneSystemOf(const Scene& scene, SceneParameters parameters, const Simulator* flight) {
   return HybridSystem(std::make_shared<SceneSystem>(scene, parameters, flight, std::nullopt));
@@ -999,7 +1000,7 @@ HybridInput InputOf(const HybridProblem& problem, const std::vector<double>& ini
   return input;
 }
 
-HybridProblem HybridProblemOf(const Scene& scene, std::vector<SceneConstraint>* constraints) {
+HybridProblem MakeHybridProblem(const Scene& scene, std::vector<SceneConstraint>* constraints) {
   const SceneLayout at(scene);
   const Objective& objective = scene.objective;
   HybridProblem problem{.system = SceneSystemOf(scene, SceneParameters::kDesign),
@@ -1030,10 +1031,10 @@ HybridProblem HybridProblemOf(const Scene& scene, std::vector<SceneConstraint>* 
     term.name += " of " + scene.bodies[of.body].name;
     term.with_state = true;
     if (of.hard) term.role = HybridTerm::Role::kEquality;
-    term.function =
-        MakeFunction(Misses{at.IndexOf(of.body, of.quantity), of.hard ? 1.0 : std::sqrt(of.weight), std::move(targets)},
-                     {at.size()},
-                     count);
+    term.function = MakeFunction(
+        ComponentResiduals{at.IndexOf(of.body, of.quantity), of.hard ? 1.0 : std::sqrt(of.weight), std::move(targets)},
+        {at.size()},
+        count);
     problem.terms.push_back(std::move(term));
   };
   const auto add_row = [&](const std::string& name, HybridTerm::Role role, auto function) {
@@ -1044,12 +1045,12 @@ HybridProblem HybridProblemOf(const Scene& scene, std::vector<SceneConstraint>* 
   };
   const auto add_region = [&](const TerminalTerm& term) {
     const std::string name = "goal region of " + scene.bodies[term.body].name;
-    for (int j = 0; j < (term.IsOfSpin() ? 1 : 2); ++j) {
+    for (int j = 0; j < (term.IsRotational() ? 1 : 2); ++j) {
       const int i = at.IndexOf(term.body, term.quantity) + j;
       const double min = term.region->min[j], max = term.region->max[j];
       const auto add_side = [&](HybridTerm::Role role, double factor, double bound) {
         tell({.terminal = &term, .by = {factor * Vec2d::Unit(j)}});
-        add_row(name, role, Misses{i, factor, {bound}});
+        add_row(name, role, ComponentResiduals{i, factor, {bound}});
       };
       if (min == max) {
         add_side(HybridTerm::Role::kEquality, 1, min);
@@ -1063,7 +1064,7 @@ HybridProblem HybridProblemOf(const Scene& scene, std::vector<SceneConstraint>* 
     const std::string name = "limit of the speed of " + scene.bodies[limit.body].name;
     const NormExcess excess{at.VelocityOf(limit.body), limit.max};
     const Vec2d by(2 / limit.max, 0);  // |v|^2 / max^2 at the limit, by the limit
-    if (limit.at == SpeedLimit::At::kEnd) {
+    if (limit.at == SpeedLimit::Timing::kEnd) {
       tell({.limit = &limit, .by = {by}});
       add_row(name, HybridTerm::Role::kInequality, excess);
       continue;
@@ -1072,7 +1073,7 @@ HybridProblem HybridProblemOf(const Scene& scene, std::vector<SceneConstraint>* 
     std::vector<int> blocks = {at.size(), scene.control_width(), static_cast<int>(scene.design.size()), 1, 1};
     std::erase(blocks, 0);
     problem.terms.push_back({.name = name,
-                             .at = HybridTerm::At::kEachInterval,
+                             .at = HybridTerm::Timing::kEachInterval,
                              .role = HybridTerm::Role::kInequality,
                              .always = true,
                              .with_state = true,
@@ -1089,7 +1090,7 @@ HybridProblem HybridProblemOf(const Scene& scene, std::vector<SceneConstraint>* 
       const int component = at.IndexOf(term.body, term.quantity) + *term.component;
       add_row("terminal term of " + scene.bodies[term.body].name,
               HybridTerm::Role::kValue,
-              Misses{component, term.weight, {0.0}});
+              ComponentResiduals{component, term.weight, {0.0}});
     } else {
       if (term.hard) tell({.terminal = &term, .by = {Vec2d::Unit(0), Vec2d::Unit(1)}});
       add({.name = "terminal term"}, term);
@@ -1099,9 +1100,10 @@ HybridProblem HybridProblemOf(const Scene& scene, std::vector<SceneConstraint>* 
   for (const ViaTerm& term : objective.via) {
     const auto index = static_cast<std::size_t>(std::ranges::find(waypoints, term.time) - waypoints.begin());
     if (term.hard) tell({.via = &term, .by = {Vec2d::Unit(0), Vec2d::Unit(1)}});
-    add({.name = WaypointName(index), .at = HybridTerm::At::kEvent, .event = WaypointName(index)}, term);
+    add({.name = WaypointName(index), .at = HybridTerm::Timing::kEvent, .event = WaypointName(index)}, term);
   }
-  if (!objective.running.empty()) add_row("running terms", HybridTerm::Role::kValue, Misses{at.running(), 1, {0.0}});
+  if (!objective.running.empty())
+    add_row("running terms", HybridTerm::Role::kValue, ComponentResiduals{at.running(), 1, {0.0}});
   if (objective.effort > 0 && scene.control_width() > 0) {
     problem.terms.push_back(MakeEffortCost(objective.effort, scene.control_width()));
   }
@@ -1120,13 +1122,13 @@ HybridProblem HybridProblemOf(const Scene& scene, std::vector<SceneConstraint>* 
       for (int c = 0; c < scene.num_controlled(); ++c) {
         free.control_max.insert(free.control_max.end(), 2, control.max.empty() ? INFINITY : control.max[c]);
       }
-      for (int t = 0; t < scene.num_turned(); ++t) free.control_max.push_back(MostTurn(scene, t));
+      for (int t = 0; t < scene.num_torques(); ++t) free.control_max.push_back(MaxTorqueForce(scene, t));
       for (const double most : free.control_max) free.control_min.push_back(-most);
     }
     for (std::size_t c = 0; c < control.max_norm.size(); ++c) {
       problem.terms.push_back(
           {.name = "bound on the force on " + scene.bodies[control.bodies[c]].name,
-           .at = HybridTerm::At::kEachInterval,
+           .at = HybridTerm::Timing::kEachInterval,
            .role = HybridTerm::Role::kInequality,
            .with_control = true,
            .function =

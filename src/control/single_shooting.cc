@@ -9,7 +9,7 @@
 
 #include "base/statistics.h"
 #include "control/design_difference.h"
-#include "control/way_costs.h"
+#include "control/path_costs.h"
 #include "saltus/internal/lanes.h"
 #include "saltus/scene/scene_parameter.h"
 #include "scene/scene_rules.h"
@@ -52,23 +52,24 @@ std::vector<int> IndicesOfInitialState(const Scene& scene) {
 }
 
 // Returns the reason why derivatives of the simulator's last rollout are not finite; empty if they are.
-std::string WhyNotFinite(const Simulator& simulator, std::span<const double> control,
-                         std::span<const double> derivatives) {
+std::string ReasonNotFinite(const Simulator& simulator, std::span<const double> control,
+                            std::span<const double> derivatives) {
   bool are_finite = true;
   internal::RunWide([&] { are_finite = AllFinite(derivatives); });
   if (simulator.stopped() || are_finite) return "";
-  return WhyDerivativesOverflow(simulator, control);
+  return ReasonDerivativesOverflow(simulator, control);
 }
 
 }  // namespace
 
-SingleShooting::SingleShooting(std::unique_ptr<Simulator> simulator, Variables variables, OfScene of_scene)
+SingleShooting::SingleShooting(std::unique_ptr<Simulator> simulator, Variables variables,
+                               SimulatorFactory simulator_factory)
     : simulator_(std::move(simulator)),
-      of_scene_(std::move(of_scene)),
-      has_duration_(of_scene_ != nullptr && scene().objective.duration.has_value()),
-      way_(WayCosts::Make(*simulator_)),
-      controls_(variables == Variables::kOfScene && scene().optimize == Optimize::kControl),
-      places_(variables == Variables::kOfScene && scene().optimize == Optimize::kPosition),
+      simulator_factory_(std::move(simulator_factory)),
+      has_duration_(simulator_factory_ != nullptr && scene().objective.duration.has_value()),
+      path_costs_(PathCosts::Make(*simulator_)),
+      controls_(variables == Variables::kOptimized && scene().optimize == Optimize::kControl),
+      places_(variables == Variables::kOptimized && scene().optimize == Optimize::kPosition),
       initial_(InitialState(simulator_->scene())),
       final_(simulator_->state_size()),
       cotangent_(simulator_->state_size()) {
@@ -87,12 +88,12 @@ SingleShooting::SingleShooting(std::unique_ptr<Simulator> simulator, Variables v
       variables == Variables::kInitialState ? IndicesOfInitialState(scene()) : IndicesOfDecisionVariables(scene());
   for (int index : variables_) guess_.push_back(initial_[index]);
   if (!variables_.empty()) initial_gradient_.resize(initial_.size());
-  if (variables == Variables::kOfScene) AddDesign();
+  if (variables == Variables::kOptimized) AddDesign();
 }
 
 void SingleShooting::AddDesign() {
   const bool exact = simulator_->traits().event_driven && simulator_->precision() == Precision::kDouble;
-  if (of_scene_ == nullptr || (way_ != nullptr && !exact) || scene().design.empty()) return;
+  if (simulator_factory_ == nullptr || (path_costs_ != nullptr && !exact) || scene().design.empty()) return;
   given_ = scene();
   const std::vector<double> design = DesignOf(given_);
   num_design_ = static_cast<int>(design.size());
@@ -110,7 +111,7 @@ SingleShooting::SingleShooting(SingleShooting&&) noexcept = default;
 SingleShooting::~SingleShooting() = default;
 
 std::span<const double> SingleShooting::ControlIn(std::span<const double> z) const {
-  if (controls_) return WithoutDesign(z).first(z.size() - num_design_ - has_duration());
+  if (controls_) return StripDesign(z).first(z.size() - num_design_ - has_duration());
   return control_;
 }
 
@@ -121,7 +122,7 @@ std::vector<double> SingleShooting::ControlAt(std::span<const double> z) const {
 
 std::vector<double> SingleShooting::DurationsAt(std::span<const double> z) const {
   if (!has_duration()) return {};
-  return std::vector<double>(simulator_->num_steps(), WithoutDesign(z).back() / simulator_->num_steps());
+  return std::vector<double>(simulator_->num_steps(), StripDesign(z).back() / simulator_->num_steps());
 }
 
 std::vector<double> SingleShooting::ParametersAt(std::span<const double> z) const {
@@ -139,7 +140,7 @@ std::string SingleShooting::SetScene(std::span<const double> z) {
   }
   Scene next = num_design_ > 0 ? WithDesign(given_, design) : scene();
   if (has_duration_) {
-    next.duration = WithoutDesign(z).back();
+    next.duration = StripDesign(z).back();
     const auto& via = next.objective.via;
     if (!(next.duration > 0) || !std::isfinite(next.duration) ||
         std::any_of(via.begin(), via.end(), [&](const ViaTerm& term) { return term.time >= next.duration; })) {
@@ -150,7 +151,7 @@ std::string SingleShooting::SetScene(std::span<const double> z) {
   if (num_design_ > 0) {
     if (const std::optional<SceneError> error = Validate(next)) return error->ToString();
   }
-  std::unique_ptr<Simulator> simulator = of_scene_(next);
+  std::unique_ptr<Simulator> simulator = simulator_factory_(next);
   if (simulator == nullptr) return "the contact model does not take the scene with these parameters";
   simulator->set_memory_limit(simulator_->memory_limit());
   simulator_ = std::move(simulator);
@@ -159,12 +160,12 @@ std::string SingleShooting::SetScene(std::span<const double> z) {
   return "";
 }
 
-std::string SingleShooting::WhyFailed() const { return failure_.empty() ? simulator_->WhyFailed() : failure_; }
+std::string SingleShooting::FailureReason() const { return failure_.empty() ? simulator_->FailureReason() : failure_; }
 
 bool SingleShooting::BeginRollout(std::span<const double> z) {
   CHECK_EQ(static_cast<int>(z.size()), num_variables());
   failure_.clear();
-  if (way_ != nullptr) at_.assign(z.begin(), z.end());
+  if (path_costs_ != nullptr) at_.assign(z.begin(), z.end());
   failure_ = SetScene(z);
   if (!failure_.empty()) return false;
   for (size_t i = 0; i < variables_.size(); ++i) initial_[variables_[i]] = z[i];
@@ -178,7 +179,7 @@ bool SingleShooting::BeginRollout(std::span<const double> z) {
 
 bool SingleShooting::EndRollout(std::span<const double> z) {
   simulator_->GetState(simulator_->num_steps(), final_);
-  if (way_ != nullptr) failure_ = way_->Update(*simulator_, initial_, ControlIn(z));
+  if (path_costs_ != nullptr) failure_ = path_costs_->Update(*simulator_, initial_, ControlIn(z));
   return failure_.empty();
 }
 
@@ -192,9 +193,9 @@ double SingleShooting::Effort(std::span<const double> z) const {
 
 double SingleShooting::LossOfLastRollout(double effort) const {
   const double loss = TerminalLoss(scene().objective, final_, simulator_->body_size()) + effort;
-  if (way_ == nullptr) return loss;
+  if (path_costs_ == nullptr) return loss;
   const std::optional<FreeDuration>& free = scene().objective.duration;
-  return loss + way_->Loss() + (free ? free->weight * scene().duration : 0.0);
+  return loss + path_costs_->Loss() + (free ? free->weight * scene().duration : 0.0);
 }
 
 // Calls put(i, derivatives) with the derivatives of numbers of the last rollout by each design parameter. They are
@@ -218,14 +219,14 @@ void SingleShooting::DifferenceByParameters(const Numbers& numbers, const Put& p
 }
 
 // Computes the gradient of the loss of the last rollout with path costs.
-void SingleShooting::WayGradient(std::span<const double> z, double* gradient) {
+void SingleShooting::PathCostGradient(std::span<const double> z, double* gradient) {
   ++num_adjoints_;
   if (!controls_) {
-    way_->Gradient({}, initial_gradient_, nullptr);
+    path_costs_->Gradient({}, initial_gradient_, nullptr);
     for (int index : variables_) *gradient++ = initial_gradient_[index];
   } else {
     const std::span<const double> control = ControlIn(z);
-    way_->Gradient({gradient, control.size()}, {}, has_duration() ? gradient + control.size() : nullptr);
+    path_costs_->Gradient({gradient, control.size()}, {}, has_duration() ? gradient + control.size() : nullptr);
     AddEffortGradient(scene().objective, control, simulator_->step(), {gradient, control.size()});
     gradient += control.size();
     if (has_duration()) {
@@ -244,7 +245,7 @@ void SingleShooting::PullBack(double effort, std::span<const double> z, double* 
   if (controls_) {
     out.control = {gradient, guess_.size() - num_design_};
     out.factor = effort;
-    if (!z.empty()) out.addend = WithoutDesign(z);
+    if (!z.empty()) out.addend = StripDesign(z);
   }
   if (num_design_ > 0) out.parameters = &parameters_;
   simulator_->AdjointInto(cotangent_, out);
@@ -259,7 +260,7 @@ bool SingleShooting::Evaluate(std::span<const double> z, double* loss, double* g
 
 int SingleShooting::num_lanes() const {
   const auto* const simulator = dynamic_cast<const LaneSimulator*>(simulator_.get());
-  return simulator != nullptr && simulator->HasLanes() && way_ == nullptr ? kLanes : 1;
+  return simulator != nullptr && simulator->HasLanes() && path_costs_ == nullptr ? kLanes : 1;
 }
 
 void SingleShooting::EvaluateTogether(std::span<const std::unique_ptr<SingleShooting>> shootings,
@@ -304,8 +305,8 @@ bool SingleShooting::EvaluateLast(std::span<const double> z, double effort, doub
   *loss = LossOfLastRollout(effort);
   if (!std::isfinite(*loss)) return false;
   if (gradient == nullptr) return true;
-  if (way_ != nullptr) {
-    WayGradient(z, gradient);
+  if (path_costs_ != nullptr) {
+    PathCostGradient(z, gradient);
   } else {
     TerminalGradient(scene().objective, final_, simulator_->body_size(), cotangent_);
     PullBack(EffortWeight(scene().objective, simulator_->step()), z, gradient);
@@ -313,31 +314,31 @@ bool SingleShooting::EvaluateLast(std::span<const double> z, double effort, doub
   if (simulator_->precision() == Precision::kFloat) {
     for (int i = 0; i < num_variables(); ++i) gradient[i] = static_cast<float>(gradient[i]);
   }
-  failure_ = WhyNotFinite(*simulator_, ControlIn(z), {gradient, static_cast<size_t>(num_variables())});
+  failure_ = ReasonNotFinite(*simulator_, ControlIn(z), {gradient, static_cast<size_t>(num_variables())});
   return !stopped();
 }
 
 int SingleShooting::num_residuals() const {
-  return way_ != nullptr ? way_->num_residuals() : NumTerminalResiduals(scene().objective);
+  return path_costs_ != nullptr ? path_costs_->num_residuals() : NumTerminalResiduals(scene().objective);
 }
 
 bool SingleShooting::EvaluateResiduals(std::span<const double> z, double* residuals, double* jacobian) {
   if (!Rollout(z)) return false;
   const std::span<double> rows(residuals, num_residuals());
-  if (way_ != nullptr) {
-    way_->Residuals(rows);
+  if (path_costs_ != nullptr) {
+    path_costs_->Residuals(rows);
   } else {
     TerminalResiduals(scene().objective, final_, simulator_->body_size(), rows);
   }
   if (!std::isfinite(LossOfLastRollout(Effort(z)))) return false;
   if (jacobian == nullptr) return true;
   ResidualJacobian(jacobian);
-  failure_ = WhyNotFinite(*simulator_, ControlIn(z), {jacobian, rows.size() * num_variables()});
+  failure_ = ReasonNotFinite(*simulator_, ControlIn(z), {jacobian, rows.size() * num_variables()});
   return !stopped();
 }
 
 void SingleShooting::ResidualJacobian(double* jacobian) {
-  if (way_ == nullptr) {
+  if (path_costs_ == nullptr) {
     const Eigen::MatrixXd terminal =
         TerminalJacobian(scene().objective, simulator_->state_size(), simulator_->body_size());
     for (int row = 0; row < terminal.rows(); ++row) {
@@ -350,7 +351,7 @@ void SingleShooting::ResidualJacobian(double* jacobian) {
   num_adjoints_ += static_cast<int>(rows);
   std::vector<double> control(rows * forces), duration(has_duration() ? rows : 0);
   std::vector<double> initial(rows * initial_gradient_.size());
-  way_->Jacobian(control, initial, duration);
+  path_costs_->Jacobian(control, initial, duration);
   for (size_t row = 0; row < rows; ++row) {
     double* to = std::copy_n(control.begin() + row * forces, forces, jacobian + row * width);
     if (has_duration()) *to = duration[row];
@@ -359,7 +360,7 @@ void SingleShooting::ResidualJacobian(double* jacobian) {
   DifferenceByParameters(
       [&] {
         std::vector<double> residuals(rows);
-        way_->Residuals(residuals);
+        path_costs_->Residuals(residuals);
         return residuals;
       },
       [&](int i, const std::vector<double>& by) {
@@ -376,7 +377,7 @@ bool SingleShooting::EvaluateAll(std::span<const double> z, double* loss, Sensit
   ++num_adjoints_;
   AddEffortGradient(scene().objective, ControlIn(z), simulator_->step(), gradient->control);
   for (const std::vector<double>* part : {&gradient->initial, &gradient->control}) {
-    if (failure_.empty()) failure_ = WhyNotFinite(*simulator_, ControlIn(z), *part);
+    if (failure_.empty()) failure_ = ReasonNotFinite(*simulator_, ControlIn(z), *part);
   }
   return !stopped();
 }

@@ -14,7 +14,7 @@ namespace {
 
 constexpr int kMostPairs = 64;  // held in memory at a time
 
-Scene WithoutEffort(Scene scene) {
+Scene RemoveEffort(Scene scene) {
   scene.objective.effort = 0;
   return scene;
 }
@@ -47,12 +47,12 @@ class Moments {
 SmoothedGradient::SmoothedGradient(const Contact& contact, const Scene& scene, Precision precision,
                                    const Surrogate& surrogate, int threads, Variables variables)
     : objective_(scene.objective),
-      controls_(variables == Variables::kOfScene && scene.optimize == Optimize::kControl),
+      controls_(variables == Variables::kOptimized && scene.optimize == Optimize::kControl),
       surrogate_(surrogate),
-      batch_(contact, WithoutEffort(scene), precision, threads, variables) {
+      batch_(contact, RemoveEffort(scene), precision, threads, variables) {
   CHECK(surrogate.smooths());
-  CHECK(WhyNotValid(surrogate).empty()) << WhyNotValid(surrogate);
-  CHECK(WhyNotApplicable(surrogate, contact, scene).empty()) << WhyNotApplicable(surrogate, contact, scene);
+  CHECK(Validate(surrogate).empty()) << Validate(surrogate);
+  CHECK(ReasonNotApplicable(surrogate, contact, scene).empty()) << ReasonNotApplicable(surrogate, contact, scene);
   const int steps = scene.steps / FindContactModel(contact)->grid_steps;
   step_ = scene.duration / steps;
   const int width = scene.control_width();

@@ -31,7 +31,7 @@ class SmoothedGradient {
   // Samples are evaluated on `threads` threads; estimates have the same bits for any number. Preconditions: as those of
   // MakeSimulator, `surrogate` smooths, is valid and applicable.
   SmoothedGradient(const Contact& contact, const Scene& scene, Precision precision, const Surrogate& surrogate,
-                   int threads = 1, Variables variables = Variables::kOfScene);
+                   int threads = 1, Variables variables = Variables::kOptimized);
 
   void set_memory_limit(std::size_t bytes) { batch_.set_memory_limit(bytes); }
   void set_stop(const StopRequest& stop) { batch_.set_stop(stop); }

@@ -39,15 +39,15 @@ std::string_view SurrogateToString(SurrogateKind kind) {
   LOG(FATAL) << "no such surrogate";
 }
 
-std::string WhyNotValid(const Surrogate& surrogate) {
+std::string Validate(const Surrogate& surrogate) {
   if (!(surrogate.sigma > 0) || !std::isfinite(surrogate.sigma)) return "sigma must be a positive number";
   if (surrogate.samples < 4 || surrogate.samples % 2 != 0) return "samples must be an even number of at least 4";
   if (surrogate.segments < 0) return "segments must not be negative";
   return "";
 }
 
-std::string WhyNotApplicable(const Surrogate& surrogate, const Contact& contact, const Scene& scene) {
-  if (std::string wrong = WhatIsWrongWith(contact); !wrong.empty()) return wrong;
+std::string ReasonNotApplicable(const Surrogate& surrogate, const Contact& contact, const Scene& scene) {
+  if (std::string wrong = Validate(contact); !wrong.empty()) return wrong;
   if (!surrogate.smooths()) return HasOption(contact) ? "" : "this model has no complementarity-aware gradient";
   const int intervals = scene.steps / CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
   if (!scene.control.bodies.empty() && surrogate.segments > intervals) {
@@ -56,9 +56,9 @@ std::string WhyNotApplicable(const Surrogate& surrogate, const Contact& contact,
   return "";
 }
 
-Contact ContactWith(const std::optional<Surrogate>& surrogate, const Contact& contact) {
+Contact ApplySurrogate(const std::optional<Surrogate>& surrogate, const Contact& contact) {
   const bool needs_option = surrogate && !surrogate->smooths();
-  return needs_option ? contact.With(std::string(kOption) + "=1") : contact;
+  return needs_option ? contact.WithOption(std::string(kOption) + "=1") : contact;
 }
 
 }  // namespace saltus

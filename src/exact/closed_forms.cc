@@ -82,8 +82,8 @@ void Complete(const Scene& scene, double terminal, const std::vector<Motion<doub
 
 using DiscJet = ceres::Jet<double, 6>;
 
-std::optional<ClosedForm> DiscAmongPlanes(const Scene& scene, std::string* why_not) {
-  const std::optional<DiscPath> path = FollowDisc(scene, why_not);
+std::optional<ClosedForm> DiscAmongPlanes(const Scene& scene, std::string* reason_not_applicable) {
+  const std::optional<DiscPath> path = FollowDisc(scene, reason_not_applicable);
   if (!path) return std::nullopt;
   const ContactLaw<DiscJet> law = {DiscJet(scene.contact.restitution, 4), DiscJet(scene.contact.friction, 5)};
   ClosedForm form;
@@ -97,7 +97,7 @@ std::optional<ClosedForm> DiscAmongPlanes(const Scene& scene, std::string* why_n
     const double end = j < path->hits.size() ? path->events[j].time : scene.duration;
     const PlaneSequence left(path->hits.begin() + static_cast<long>(j), path->hits.end());
     const auto end_motion = FlyAlong(scene, law, left, Seed<DiscJet>(path->phase_start[j], 0), start);
-    if (!end_motion) return Refuse(why_not, "the disc grazes a plane");
+    if (!end_motion) return Refuse(reason_not_applicable, "the disc grazes a plane");
     const DiscJet loss = TerminalLoss<DiscJet>(scene.objective, {*end_motion});
     phases.push_back({start, end, {Costate(loss, 0)}});
     if (j > 0) continue;
@@ -173,27 +173,27 @@ Phase LastPhase(const Scene& scene, const PairParameters& pair, const DiscPair<d
   return PairPhase(loss, start, scene.duration);
 }
 
-std::optional<ClosedForm> TwoDiscs(const Scene& scene, std::string* why_not) {
+std::optional<ClosedForm> TwoDiscs(const Scene& scene, std::string* reason_not_applicable) {
   const PairParameters pair = MakePair(scene);
   const DiscPair<double> start = {InitialMotion(scene, 0), InitialMotion(scene, 1)};
   ClosedForm form;
   form.family = "two discs";
   double impact = 0;
   const Meeting meeting = FindMeeting(pair, start, scene.duration, &impact);
-  if (meeting == Meeting::kResting) return Refuse(why_not, "the discs rest on each other");
+  if (meeting == Meeting::kResting) return Refuse(reason_not_applicable, "the discs rest on each other");
   if (meeting == Meeting::kNone) {
     const DiscPair<double> end = FlyBoth(pair, start, scene.duration);
     const std::vector<Motion<double>> final = {end.first, end.second};
     Complete(scene, TerminalLoss(scene.objective, final), final, {LastPhase(scene, pair, start, 0)}, &form);
     return form;
   }
-  if (!Approaches(FlyBoth(pair, start, impact))) return Refuse(why_not, "the discs graze each other");
+  if (!Approaches(FlyBoth(pair, start, impact))) return Refuse(reason_not_applicable, "the discs graze each other");
   const ContactLaw<double> law = {scene.contact.restitution, scene.contact.friction};
   ExactEvent event = {impact, scene.bodies[0].name, scene.bodies[1].name, {}};
   const DiscPair<double> after = CollideOnce(pair, law, start, impact, impact, &event.mode);
   double again = 0;
   if (FindMeeting(pair, after, scene.duration - impact, &again) != Meeting::kNone) {
-    return Refuse(why_not, "the discs collide twice, or stay in contact");
+    return Refuse(reason_not_applicable, "the discs collide twice, or stay in contact");
   }
   const ContactLaw<PairJet> seeded_law = {PairJet(scene.contact.restitution, 8), PairJet(scene.contact.friction, 9)};
   const DiscPair<PairJet> end = CollideOnce(pair, seeded_law, SeedPair(start), impact, scene.duration);
@@ -231,22 +231,23 @@ ClosedForm Convert(ClosedForm form, const Units& from, const Units& to) {
 
 }  // namespace
 
-std::optional<ClosedForm> EvaluateClosedForm(const Scene& scene, std::string* why_not) {
-  if (std::string wrong = WhatIsWrongWith(scene); !wrong.empty()) return Refuse(why_not, wrong);
-  if (const std::string beyond = BeyondTerminalLoss(scene.objective); !beyond.empty()) {
-    return Refuse(why_not, "the scene has " + beyond + "; the closed forms are of terminal costs and effort");
+std::optional<ClosedForm> EvaluateClosedForm(const Scene& scene, std::string* reason_not_applicable) {
+  if (std::string wrong = ValidateForClosedForm(scene); !wrong.empty()) return Refuse(reason_not_applicable, wrong);
+  if (const std::string beyond = NonTerminalTerms(scene.objective); !beyond.empty()) {
+    return Refuse(reason_not_applicable,
+                  "the scene has " + beyond + "; the closed forms are of terminal costs and effort");
   }
   if (!scene.units.natural) {
-    const Scene natural = InNaturalUnits(scene);
-    const std::optional<ClosedForm> form = EvaluateClosedForm(natural, why_not);
+    const Scene natural = ToNaturalUnits(scene);
+    const std::optional<ClosedForm> form = EvaluateClosedForm(natural, reason_not_applicable);
     return form ? std::optional(Convert(*form, natural.units, scene.units)) : std::nullopt;
   }
   for (const Body& body : scene.bodies) {
-    if (body.fixed) return Refuse(why_not, "a disc is fixed");
+    if (body.fixed) return Refuse(reason_not_applicable, "a disc is fixed");
   }
-  if (scene.num_bodies() == 1) return DiscAmongPlanes(scene, why_not);
-  if (scene.num_bodies() == 2 && scene.planes.empty()) return TwoDiscs(scene, why_not);
-  return Refuse(why_not, "neither one disc among planes nor two discs alone");
+  if (scene.num_bodies() == 1) return DiscAmongPlanes(scene, reason_not_applicable);
+  if (scene.num_bodies() == 2 && scene.planes.empty()) return TwoDiscs(scene, reason_not_applicable);
+  return Refuse(reason_not_applicable, "neither one disc among planes nor two discs alone");
 }
 
 }  // namespace saltus

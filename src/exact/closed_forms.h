@@ -52,10 +52,10 @@ struct ClosedForm {
   std::vector<ExactEvent> events;  // in order of time
 };
 
-// Returns the closed form of `scene` under its initial forces, or std::nullopt, and the reason in `why_not`, if it has
-// none here: another family or loss, or other collisions (a second collision of two discs, a corner, a grazing or a
-// resting contact). `scene` must be valid (see Validate).
-std::optional<ClosedForm> EvaluateClosedForm(const Scene& scene, std::string* why_not = nullptr);
+// Returns the closed form of `scene` under its initial forces, or std::nullopt, and the reason in
+// `reason_not_applicable`, if it has none here: another family or loss, or other collisions (a second collision of two
+// discs, a corner, a grazing or a resting contact). `scene` must be valid (see Validate).
+std::optional<ClosedForm> EvaluateClosedForm(const Scene& scene, std::string* reason_not_applicable = nullptr);
 
 // The initial velocities with which one disc among planes reaches the target exactly.
 //
@@ -72,8 +72,9 @@ struct LaunchSolution {
 
 // The velocities of zero loss, in order of increasing speed, for all sequences of at most `max_hits` hits. Newton's
 // method starts from the straight line to the target's mirror image and from a lattice around it; a solution that no
-// start leads to is missed. Preconditions, else nothing and a reason in `why_not`: one moving disc; the objective is
-// one squared distance of its final position, without effort.
-std::vector<LaunchSolution> FindLaunchSolutions(const Scene& scene, int max_hits = 3, std::string* why_not = nullptr);
+// start leads to is missed. Preconditions, else nothing and a reason in `reason_not_applicable`: one moving disc; the
+// objective is one squared distance of its final position, without effort.
+std::vector<LaunchSolution> FindLaunchSolutions(const Scene& scene, int max_hits = 3,
+                                                std::string* reason_not_applicable = nullptr);
 
 }  // namespace saltus

@@ -115,7 +115,7 @@ double MinimumBetween(const Polynomial& p, double low, double high) {
   return minimum;
 }
 
-std::optional<DiscPath> FollowDisc(const Scene& scene, std::string* why_not) {
+std::optional<DiscPath> FollowDisc(const Scene& scene, std::string* reason_not_applicable) {
   const Vec2d acceleration = InitialAcceleration(scene, 0);
   const ContactLaw<double> law = {scene.contact.restitution, scene.contact.friction};
   DiscPath path;
@@ -126,14 +126,15 @@ std::optional<DiscPath> FollowDisc(const Scene& scene, std::string* why_not) {
     NextHit next;
     const int last = path.hits.empty() ? -1 : path.hits.back();
     if (!FindNextHit(scene, disc, scene.duration - time, last, &next))
-      return Refuse(why_not, "the disc rests on a plane");
+      return Refuse(reason_not_applicable, "the disc rests on a plane");
     if (next.plane < 0) return path;
-    if (next.corner) return Refuse(why_not, "the disc strikes two planes at once");
-    if (static_cast<int>(path.hits.size()) == kMostHits) return Refuse(why_not, "the disc strikes planes too often");
+    if (next.corner) return Refuse(reason_not_applicable, "the disc strikes two planes at once");
+    if (static_cast<int>(path.hits.size()) == kMostHits)
+      return Refuse(reason_not_applicable, "the disc strikes planes too often");
     disc = Fly(disc, acceleration, next.wait);
     time += next.wait;
     const Vec2d n = scene.planes[next.plane].normal.normalized();
-    if (n.dot(disc.velocity) > -kGrazing) return Refuse(why_not, "the disc grazes a plane");
+    if (n.dot(disc.velocity) > -kGrazing) return Refuse(reason_not_applicable, "the disc grazes a plane");
     ExactEvent event = {time, scene.bodies[0].name, scene.planes[next.plane].name, {}};
     disc.velocity += Impulse(law, n, disc.velocity, 1.0, &event.mode);
     path.hits.push_back(next.plane);

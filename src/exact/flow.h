@@ -33,17 +33,17 @@ inline constexpr double kTouching = 1e-12;  // the overlap that a valid scene ma
 inline constexpr double kGrazing = 1e-9;    // speed; slower approaches have no usable derivative
 
 // Returns the message of ValidateStructure(); empty if the scene is valid.
-inline std::string WhatIsWrongWith(const Scene& scene) {
+inline std::string ValidateForClosedForm(const Scene& scene) {
   const std::optional<SceneError> error = ValidateStructure(scene);
   if (error) return "the scene is wrong: " + error->ToString();
   if (!scene.materials.empty()) return "the scene has materials: its contacts have several restitutions and frictions";
-  const std::string beyond = BeyondPlainDiscs(scene);
+  const std::string beyond = NonBallisticFeatures(scene);
   return beyond.empty() ? "" : "the scene has " + beyond + "; the closed forms are of discs and planes";
 }
 
 // Returns std::nullopt, and sets the reason.
-inline std::nullopt_t Refuse(std::string* why_not, const std::string& reason) {
-  if (why_not != nullptr) *why_not = reason;
+inline std::nullopt_t Refuse(std::string* reason_not_applicable, const std::string& reason) {
+  if (reason_not_applicable != nullptr) *reason_not_applicable = reason;
   return std::nullopt;
 }
 
@@ -177,7 +177,7 @@ struct DiscPath {
 
 // Follows the disc. Fails, with a reason, at corners, grazing or resting contacts, and after `kMostHits` impacts.
 inline constexpr int kMostHits = 1000;
-std::optional<DiscPath> FollowDisc(const Scene& scene, std::string* why_not);
+std::optional<DiscPath> FollowDisc(const Scene& scene, std::string* reason_not_applicable);
 
 // --- Two discs ---
 

@@ -28,18 +28,18 @@ std::vector<PlaneSequence> Sequences(int planes, int hits) {
 const TerminalTerm& Target(const Scene& scene) { return scene.objective.terminal[0]; }
 
 // The distance from the target of the disc launched with `velocity` along `hits`, as a vector, with its derivative.
-struct Miss {
+struct TargetDistance {
   Eigen::Vector2d error;
   Eigen::Matrix2d slope;  // by velocity
 };
-std::optional<Miss> Launch(const Scene& scene, const PlaneSequence& hits, const Vec2d& velocity) {
+std::optional<TargetDistance> Launch(const Scene& scene, const PlaneSequence& hits, const Vec2d& velocity) {
   using Jet = ceres::Jet<double, 2>;
   const ContactLaw<Jet> law = {Jet(scene.contact.restitution), Jet(scene.contact.friction)};
   Motion<Jet> disc = Cast<Jet>({scene.bodies[0].position, velocity});
   for (int c = 0; c < 2; ++c) disc.velocity[c].v[c] = 1;
   const std::optional<Motion<Jet>> end = FlyAlong(scene, law, hits, disc, 0);
   if (!end) return std::nullopt;
-  Miss miss;
+  TargetDistance miss;
   for (int c = 0; c < 2; ++c) {
     miss.error[c] = end->position[c].a - Target(scene).target[c];
     miss.slope.row(c) = end->position[c].v.transpose();
@@ -49,13 +49,13 @@ std::optional<Miss> Launch(const Scene& scene, const PlaneSequence& hits, const 
 
 // Newton's method, with steps halved until the miss decreases. Returns false if no step decreases it.
 bool Solve(const Scene& scene, const PlaneSequence& hits, Vec2d* velocity) {
-  std::optional<Miss> now = Launch(scene, hits, *velocity);
+  std::optional<TargetDistance> now = Launch(scene, hits, *velocity);
   if (!now) return false;
   for (int i = 0; i < 50; ++i) {
     const Eigen::Vector2d full = -now->slope.fullPivLu().solve(now->error);
     const bool last = full.norm() < 1e-10 * (1 + velocity->norm());
     double part = 1;
-    std::optional<Miss> next;
+    std::optional<TargetDistance> next;
     for (; part > 1e-6; part *= 0.5) {
       next = Launch(scene, hits, *velocity + part * full);
       if (next && (last || next->error.norm() < now->error.norm())) break;
@@ -89,7 +89,7 @@ void Try(const Scene& scene, const PlaneSequence& hits, Vec2d velocity, std::vec
   if (path && path->hits == hits) solutions->push_back({velocity, path->events});
 }
 
-const char* WhyNotLaunch(const Scene& scene) {
+const char* UnsupportedByLaunchSolutions(const Scene& scene) {
   if (scene.num_bodies() != 1 || scene.bodies[0].fixed) return "there must be one moving disc";
   if (scene.objective.effort != 0 && scene.num_controlled() > 0) return "effort must be 0";
   if (scene.objective.terminal.size() != 1) return "the objective must have one terminal term";
@@ -101,11 +101,11 @@ const char* WhyNotLaunch(const Scene& scene) {
 
 }  // namespace
 
-std::vector<LaunchSolution> FindLaunchSolutions(const Scene& scene, int max_hits, std::string* why_not) {
+std::vector<LaunchSolution> FindLaunchSolutions(const Scene& scene, int max_hits, std::string* reason_not_applicable) {
   if (!scene.units.natural) {
-    const Scene natural = InNaturalUnits(scene);
+    const Scene natural = ToNaturalUnits(scene);
     const UnitFactors by(natural.units, scene.units);
-    std::vector<LaunchSolution> solutions = FindLaunchSolutions(natural, max_hits, why_not);
+    std::vector<LaunchSolution> solutions = FindLaunchSolutions(natural, max_hits, reason_not_applicable);
     for (LaunchSolution& solution : solutions) {
       solution.velocity *= by.speed;
       for (ExactEvent& event : solution.events) event.time *= by.time;
@@ -114,12 +114,12 @@ std::vector<LaunchSolution> FindLaunchSolutions(const Scene& scene, int max_hits
   }
   constexpr int kLattice = 3;  // starts to either side, per direction
   std::vector<LaunchSolution> solutions;
-  if (std::string wrong = WhatIsWrongWith(scene); !wrong.empty()) {
-    Refuse(why_not, wrong);
+  if (std::string wrong = ValidateForClosedForm(scene); !wrong.empty()) {
+    Refuse(reason_not_applicable, wrong);
     return solutions;
   }
-  if (const char* reason = WhyNotLaunch(scene)) {
-    Refuse(why_not, reason);
+  if (const char* reason = UnsupportedByLaunchSolutions(scene)) {
+    Refuse(reason_not_applicable, reason);
     return solutions;
   }
   for (const PlaneSequence& hits : Sequences(static_cast<int>(scene.planes.size()), max_hits)) {
@@ -132,7 +132,7 @@ std::vector<LaunchSolution> FindLaunchSolutions(const Scene& scene, int max_hits
   std::sort(solutions.begin(), solutions.end(), [](const LaunchSolution& a, const LaunchSolution& b) {
     return a.velocity.norm() < b.velocity.norm();
   });
-  if (solutions.empty()) Refuse(why_not, "no velocity of zero loss was found");
+  if (solutions.empty()) Refuse(reason_not_applicable, "no velocity of zero loss was found");
   return solutions;
 }
 

@@ -122,7 +122,7 @@ struct PathPiece {
 
 constexpr double kClear = 1e-11;  // overlap below this is rounding
 
-Path Straight(const Vec2d& position, const Vec2d& velocity) {
+Path LinearPath(const Vec2d& position, const Vec2d& velocity) {
   return {Polynomial{position[0], velocity[0]}, Polynomial{position[1], velocity[1]}};
 }
 
@@ -144,7 +144,7 @@ Polynomial DiscGap(double contact_distance, const PathPiece& piece) {
   return gap;
 }
 
-const char* WhyNotTwoDiscs(const Scene& scene) {
+const char* UnsupportedByTwoDiscOptimum(const Scene& scene) {
   if (scene.num_bodies() != 2) return "there must be two discs";
   for (const Body& body : scene.bodies) {
     if (body.fixed) return "a disc is fixed";
@@ -163,9 +163,10 @@ const char* WhyNotTwoDiscs(const Scene& scene) {
 }
 
 // Returns the problem of `scene`, or std::nullopt and a reason. `step` is 0.
-std::optional<TwoDiscProblem> MakeTwoDiscProblem(const Scene& scene, TwoDiscSequence sequence, std::string* why_not) {
-  if (std::string wrong = WhatIsWrongWith(scene); !wrong.empty()) return Refuse(why_not, wrong);
-  if (const char* reason = WhyNotTwoDiscs(scene)) return Refuse(why_not, reason);
+std::optional<TwoDiscProblem> MakeTwoDiscProblem(const Scene& scene, TwoDiscSequence sequence,
+                                                 std::string* reason_not_applicable) {
+  if (std::string wrong = ValidateForClosedForm(scene); !wrong.empty()) return Refuse(reason_not_applicable, wrong);
+  if (const char* reason = UnsupportedByTwoDiscOptimum(scene)) return Refuse(reason_not_applicable, reason);
   const Body& first = scene.bodies[0];
   const Body& second = scene.bodies[1];
   const TerminalTerm& term = scene.objective.terminal[0];
@@ -179,8 +180,8 @@ std::optional<TwoDiscProblem> MakeTwoDiscProblem(const Scene& scene, TwoDiscSequ
   problem.duration = scene.duration;
   problem.target = term.target;
   if (sequence == TwoDiscSequence::kImpactThenPlane) {
-    if (scene.planes.size() != 1) return Refuse(why_not, "there must be one plane");
-    if (scene.contact.restitution != 1) return Refuse(why_not, "the plane must be elastic");
+    if (scene.planes.size() != 1) return Refuse(reason_not_applicable, "there must be one plane");
+    if (scene.contact.restitution != 1) return Refuse(reason_not_applicable, "the plane must be elastic");
     problem.target = Mirror(scene.planes[0], second.radius, term.target);
   }
   return problem;
@@ -256,7 +257,7 @@ std::optional<std::vector<PathPiece>> PathsAfterImpact(const Scene& scene, TwoDi
   const Vec2d v1 = loss.w - second.mass / first.mass * kick;
   const Vec2d v2 = second.velocity + kick;
   if (sequence == TwoDiscSequence::kImpact) {
-    return std::vector<PathPiece>{{s, scene.duration, Straight(p1, v1), Straight(p2, v2)}};
+    return std::vector<PathPiece>{{s, scene.duration, LinearPath(p1, v1), LinearPath(p2, v2)}};
   }
   const Plane& plane = scene.planes[0];
   const Vec2d n = plane.normal.normalized();
@@ -265,8 +266,8 @@ std::optional<std::vector<PathPiece>> PathsAfterImpact(const Scene& scene, TwoDi
   *hit = s + wait;
   const Vec2d rebound = v2 - 2 * n.dot(v2) * n;
   return std::vector<PathPiece>{
-      {s, s + wait, Straight(p1, v1), Straight(p2, v2)},
-      {s + wait, scene.duration, Straight(p1 + wait * v1, v1), Straight(p2 + wait * v2, rebound)}};
+      {s, s + wait, LinearPath(p1, v1), LinearPath(p2, v2)},
+      {s + wait, scene.duration, LinearPath(p1 + wait * v1, v1), LinearPath(p2 + wait * v2, rebound)}};
 }
 
 // Whether discs and planes stay apart on all pieces (to rounding).
@@ -392,15 +393,16 @@ Vec2d TwoDiscOptimum::Control(double t) const {
   return control_start + t * control_slope;
 }
 
-std::optional<TwoDiscOptimum> FindTwoDiscOptimum(const Scene& scene, TwoDiscSequence sequence, std::string* why_not) {
+std::optional<TwoDiscOptimum> FindTwoDiscOptimum(const Scene& scene, TwoDiscSequence sequence,
+                                                 std::string* reason_not_applicable) {
   if (!scene.units.natural) {
-    const Scene natural = InNaturalUnits(scene);
-    const std::optional<TwoDiscOptimum> optimum = FindTwoDiscOptimum(natural, sequence, why_not);
+    const Scene natural = ToNaturalUnits(scene);
+    const std::optional<TwoDiscOptimum> optimum = FindTwoDiscOptimum(natural, sequence, reason_not_applicable);
     return optimum ? std::optional(Convert(*optimum, natural.units, scene.units)) : std::nullopt;
   }
   constexpr int kTimes = 16;
   constexpr int kAngles = 12;
-  const auto problem = MakeTwoDiscProblem(scene, sequence, why_not);
+  const auto problem = MakeTwoDiscProblem(scene, sequence, reason_not_applicable);
   if (!problem) return std::nullopt;
   const Vec2d way = problem->start.p2 - problem->start.p1;
   std::optional<TwoDiscOptimum> best;
@@ -413,7 +415,7 @@ std::optional<TwoDiscOptimum> FindTwoDiscOptimum(const Scene& scene, TwoDiscSequ
       if (candidate && (!best || candidate->loss < best->loss)) best = candidate;
     }
   }
-  if (!best) return Refuse(why_not, "no minimum with these collisions was found");
+  if (!best) return Refuse(reason_not_applicable, "no minimum with these collisions was found");
   return best;
 }
 
@@ -427,10 +429,10 @@ struct Grid {
   double angle = 0;
 };
 
-std::optional<Grid> MakeGrid(const Scene& scene, TwoDiscSequence sequence, std::string* why_not) {
-  const auto problem = MakeTwoDiscProblem(scene, sequence, why_not);
+std::optional<Grid> MakeGrid(const Scene& scene, TwoDiscSequence sequence, std::string* reason_not_applicable) {
+  const auto problem = MakeTwoDiscProblem(scene, sequence, reason_not_applicable);
   if (!problem) return std::nullopt;
-  const auto optimum = FindTwoDiscOptimum(scene, sequence, why_not);
+  const auto optimum = FindTwoDiscOptimum(scene, sequence, reason_not_applicable);
   if (!optimum) return std::nullopt;
   Grid grid = {*problem, optimum->angle};
   grid.problem.step = scene.dt();
@@ -515,7 +517,7 @@ void FillCertificate(const Scene& scene, const TwoDiscProblem& problem, GridOpti
 }
 
 std::optional<GridOptimum> MakeOptimum(const Scene& scene, TwoDiscSequence sequence, const Grid& grid, int node,
-                                       const TwoDiscLoss<double>& loss, std::string* why_not) {
+                                       const TwoDiscLoss<double>& loss, std::string* reason_not_applicable) {
   GridOptimum o;
   o.terminal = loss.terminal;
   o.running = loss.running;
@@ -530,10 +532,10 @@ std::optional<GridOptimum> MakeOptimum(const Scene& scene, TwoDiscSequence seque
     o.control[i] = grid.problem.mass * (loss.beta + left * loss.alpha);
   }
   const auto after = PathsAfterImpact(scene, sequence, o.impact_time, loss, &o.plane_time);
-  if (!after) return Refuse(why_not, "the second disc does not reach the plane");
+  if (!after) return Refuse(reason_not_applicable, "the second disc does not reach the plane");
   std::vector<PathPiece> pieces = PathsBeforeImpact(scene, o);
   pieces.insert(pieces.end(), after->begin(), after->end());
-  if (!PathsAreClear(scene, pieces)) return Refuse(why_not, "something else is struck");
+  if (!PathsAreClear(scene, pieces)) return Refuse(reason_not_applicable, "something else is struck");
   FillCertificate(scene, grid.problem, &o);
   return o;
 }
@@ -552,7 +554,7 @@ GridOptimum Convert(GridOptimum o, const Units& from, const Units& to) {
 // Calls `find` with the scene in natural units, and converts its result to the units of the scene.
 template <typename Find>
 std::optional<GridOptimum> FindInNaturalUnits(const Scene& scene, const Find& find) {
-  const Scene natural = InNaturalUnits(scene);
+  const Scene natural = ToNaturalUnits(scene);
   const std::optional<GridOptimum> optimum = find(natural);
   return optimum ? std::optional(Convert(*optimum, natural.units, scene.units)) : std::nullopt;
 }
@@ -560,24 +562,27 @@ std::optional<GridOptimum> FindInNaturalUnits(const Scene& scene, const Find& fi
 }  // namespace
 
 std::optional<GridOptimum> OptimizeWithImpactAt(const Scene& scene, TwoDiscSequence sequence, int node,
-                                                std::string* why_not) {
+                                                std::string* reason_not_applicable) {
   if (!scene.units.natural) {
-    return FindInNaturalUnits(
-        scene, [&](const Scene& natural) { return OptimizeWithImpactAt(natural, sequence, node, why_not); });
+    return FindInNaturalUnits(scene, [&](const Scene& natural) {
+      return OptimizeWithImpactAt(natural, sequence, node, reason_not_applicable);
+    });
   }
-  const std::optional<Grid> grid = MakeGrid(scene, sequence, why_not);
+  const std::optional<Grid> grid = MakeGrid(scene, sequence, reason_not_applicable);
   if (!grid) return std::nullopt;
   CHECK(node >= 2 && node < scene.steps) << "no such node for an impact: " << node;
   const auto loss = BestAtNode(*grid, node);
-  if (!loss) return Refuse(why_not, "no minimum with the impact on this node was found");
-  return MakeOptimum(scene, sequence, *grid, node, *loss, why_not);
+  if (!loss) return Refuse(reason_not_applicable, "no minimum with the impact on this node was found");
+  return MakeOptimum(scene, sequence, *grid, node, *loss, reason_not_applicable);
 }
 
-std::optional<GridOptimum> FindGridOptimum(const Scene& scene, TwoDiscSequence sequence, std::string* why_not) {
+std::optional<GridOptimum> FindGridOptimum(const Scene& scene, TwoDiscSequence sequence,
+                                           std::string* reason_not_applicable) {
   if (!scene.units.natural) {
-    return FindInNaturalUnits(scene, [&](const Scene& natural) { return FindGridOptimum(natural, sequence, why_not); });
+    return FindInNaturalUnits(
+        scene, [&](const Scene& natural) { return FindGridOptimum(natural, sequence, reason_not_applicable); });
   }
-  const std::optional<Grid> grid = MakeGrid(scene, sequence, why_not);
+  const std::optional<Grid> grid = MakeGrid(scene, sequence, reason_not_applicable);
   if (!grid) return std::nullopt;
   int best_node = 0;
   TwoDiscLoss<double> best = {};
@@ -587,8 +592,8 @@ std::optional<GridOptimum> FindGridOptimum(const Scene& scene, TwoDiscSequence s
     best_node = node;
     best = *loss;
   }
-  if (best_node == 0) return Refuse(why_not, "no minimum with the impact on a node was found");
-  return MakeOptimum(scene, sequence, *grid, best_node, best, why_not);
+  if (best_node == 0) return Refuse(reason_not_applicable, "no minimum with the impact on a node was found");
+  return MakeOptimum(scene, sequence, *grid, best_node, best, reason_not_applicable);
 }
 
 }  // namespace saltus

@@ -75,12 +75,12 @@ struct TwoDiscOptimum {
   Vec2d Control(double t) const;
 };
 
-// The optimum of `scene` among the controls with the given sequence, or nothing and a reason in `why_not`.
-// Preconditions, else nothing: two moving discs, only the first of them pushed; the objective is one squared distance
-// of the second disc's final position, with effort > 0; no gravity, no friction; restitution > 0; for kImpactThenPlane
-// exactly one plane and restitution 1. That the paths touch nothing else is checked.
+// The optimum of `scene` among the controls with the given sequence, or nothing and a reason in
+// `reason_not_applicable`. Preconditions, else nothing: two moving discs, only the first of them pushed; the objective
+// is one squared distance of the second disc's final position, with effort > 0; no gravity, no friction; restitution >
+// 0; for kImpactThenPlane exactly one plane and restitution 1. That the paths touch nothing else is checked.
 std::optional<TwoDiscOptimum> FindTwoDiscOptimum(const Scene& scene, TwoDiscSequence sequence,
-                                                 std::string* why_not = nullptr);
+                                                 std::string* reason_not_applicable = nullptr);
 
 // The optimal control of one disc that strikes another towards a target, among controls that are constant on the steps
 // of a time grid; the motion is exact, not integrated.
@@ -112,13 +112,14 @@ struct GridOptimum {
   double residual = 0;  // largest component of theta early + (1 - theta) late, 1/N
 };
 
-// The best control with the impact on node `node`, 2 <= node < scene.steps. Preconditions, failures and `why_not` as in
-// FindTwoDiscOptimum; the angle of the impact is the minimum nearest to that of the optimum in continuous time.
+// The best control with the impact on node `node`, 2 <= node < scene.steps. Preconditions, failures and
+// `reason_not_applicable` as in FindTwoDiscOptimum; the angle of the impact is the minimum nearest to that of the
+// optimum in continuous time.
 std::optional<GridOptimum> OptimizeWithImpactAt(const Scene& scene, TwoDiscSequence sequence, int node,
-                                                std::string* why_not = nullptr);
+                                                std::string* reason_not_applicable = nullptr);
 
 // Returns the best optimum over all nodes.
 std::optional<GridOptimum> FindGridOptimum(const Scene& scene, TwoDiscSequence sequence,
-                                           std::string* why_not = nullptr);
+                                           std::string* reason_not_applicable = nullptr);
 
 }  // namespace saltus

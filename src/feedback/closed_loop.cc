@@ -27,7 +27,7 @@ class HybridPlant final : public Plant {
     for (int k = 0; k < input.num_intervals; ++k) {
       HybridOptions options = motion.StepsBetween(times_[k], times_[k + 1]);
       options.wait_behind_guards = true;
-      if (!options.divided.empty()) of_divided_.try_emplace(k, motion.system(), options);
+      if (!options.divisions.empty()) of_divided_.try_emplace(k, motion.system(), options);
     }
   }
 
@@ -38,9 +38,9 @@ class HybridPlant final : public Plant {
   }
 
   bool Advance(int k, std::span<const double> u) override {
-    std::vector<HybridEvent> at_once;
+    std::vector<HybridEvent> immediate;
     if (!TakeEventsBehindGuards(
-            simulator_.system(), times_[k], u, piece_.parameters, &mode_, &x_, &at_once, /*saltation=*/nullptr)) {
+            simulator_.system(), times_[k], u, piece_.parameters, &mode_, &x_, &immediate, /*saltation=*/nullptr)) {
       return false;
     }
     piece_.mode = mode_;
@@ -51,7 +51,7 @@ class HybridPlant final : public Plant {
     const auto divided = of_divided_.find(k);
     HybridSimulator& simulator = divided == of_divided_.end() ? simulator_ : divided->second;
     if (!simulator.Rollout(piece_)) return false;
-    for (const std::vector<HybridEvent>* events : {&std::as_const(at_once), &simulator.events()}) {
+    for (const std::vector<HybridEvent>* events : {&std::as_const(immediate), &simulator.events()}) {
       for (const HybridEvent& event : *events) events_.push_back({event.mode, event.guard, event.next_mode, k});
     }
     mode_ = simulator.final_mode();
@@ -151,16 +151,16 @@ void AddBranches(Plan* plan, const std::function<bool(int event)>& on_node, cons
 enum Occurrence : char { kNotYet, kHappened, kNotCounted };
 
 // Returns the planned events that have happened up to node k; std::nullopt if others have, or in another order.
-std::optional<std::vector<Occurrence>> Happened(const Plan& plan, int k, std::span<const EventLabel> events) {
+std::optional<std::vector<Occurrence>> MatchEvents(const Plan& plan, int k, std::span<const EventLabel> events) {
   std::vector<Occurrence> happened(plan.events.size(), kNotYet);
   // Counts only the first of the events with which a contact comes to last, and none while it lasts.
-  for (const Plan::Lasting& contact : plan.lasting) {
+  for (const Plan::SustainedContact& contact : plan.sustained) {
     for (std::size_t i = contact.event + 1; contact.from <= k && i < plan.events.size(); ++i) {
       if (plan.events[i] == contact.pair && plan.events[i].interval <= contact.to) happened[i] = kNotCounted;
     }
   }
   for (const EventLabel& event : events) {
-    const bool lasts = std::ranges::any_of(plan.lasting, [&](const Plan::Lasting& contact) {
+    const bool lasts = std::ranges::any_of(plan.sustained, [&](const Plan::SustainedContact& contact) {
       return contact.pair == event && contact.from <= k && event.interval <= contact.to &&
              (contact.event < 0 || happened[contact.event] != kNotYet);
     });
@@ -222,7 +222,7 @@ ClosedLoopRun RunWith(const Plan& plan, const std::vector<Eigen::MatrixXd>& gain
     Disturb(noise.process, &stream, plant->state());
   }
   if (run.ok) {
-    const auto happened = Happened(plan, plan.num_intervals(), plant->events());
+    const auto happened = MatchEvents(plan, plan.num_intervals(), plant->events());
     run.as_planned = happened && std::ranges::count(*happened, kNotYet) == 0;
   }
   run.mode = plant->mode();
@@ -258,11 +258,11 @@ Plan MakePlan(HybridSimulator& motion, const HybridInput& input) {
       const double begin = t, end = times[node];
       HybridOptions parts = motion.StepsBetween(std::min(begin, end), std::max(begin, end));
       if (end < begin) {
-        std::ranges::reverse(parts.divided);
-        for (double& part : parts.divided) part = 1 - part;
+        std::ranges::reverse(parts.divisions);
+        for (double& part : parts.divisions) part = 1 - part;
       }
-      parts.divided.push_back(1);
-      for (const double part : parts.divided) {
+      parts.divisions.push_back(1);
+      for (const double part : parts.divisions) {
         const double h = (begin + part * (end - begin) - t) / parts.steps_per_interval;
         for (int i = 0; i < parts.steps_per_interval; ++i, t += h) {
           integrator.Step({{mode, t, x.data(), u, input.parameters.data()}, h}, next.data());
@@ -305,15 +305,16 @@ void AddEvents(const SceneIntervals& motion, const std::vector<SceneEvent>& even
       plan->discs.push_back(event->discs);
     }
     if (motion[k].simulator == nullptr) {
-      for (Plan::Lasting& contact : plan->lasting) contact.to += contact.to == k - 1;
+      for (Plan::SustainedContact& contact : plan->sustained) contact.to += contact.to == k - 1;
       continue;
     }
     for (const Touch& touch : motion.touches(k)) {
       if (touch.kind != ContactKind::kSustained) continue;
       const EventLabel pair = LabelOf(touch.candidate, k);
-      const auto goes_on = std::ranges::find_if(
-          plan->lasting, [&](const Plan::Lasting& contact) { return contact.pair == pair && contact.to >= k - 1; });
-      if (goes_on != plan->lasting.end()) {
+      const auto goes_on = std::ranges::find_if(plan->sustained, [&](const Plan::SustainedContact& contact) {
+        return contact.pair == pair && contact.to >= k - 1;
+      });
+      if (goes_on != plan->sustained.end()) {
         goes_on->to = k;
         continue;
       }
@@ -323,7 +324,7 @@ void AddEvents(const SceneIntervals& motion, const std::vector<SceneEvent>& even
       if (of_pair == plan->events.end()) {
         for (first = plan->phases[k] - 1; first >= 0 && plan->events[first] != pair;) --first;
       }
-      plan->lasting.push_back({pair, first, first < 0 ? 0 : k + 1, k});
+      plan->sustained.push_back({pair, first, first < 0 ? 0 : k + 1, k});
     }
   }
   plan->phases.push_back(static_cast<int>(plan->events.size()));
@@ -347,7 +348,7 @@ Plan MakePlan(const SceneIntervals& motion, std::span<const double> control) {
   const auto fly = [&](int k, int body, bool backwards, Eigen::VectorXd* x) {
     const Body& disc = simulator.scene().bodies[body];
     if (disc.fixed || motion[k].simulator == nullptr) return;
-    const StepLinearization::FreeFlight f = motion[k].simulator->FreeFlightOver(motion[k].length)->flight;
+    const StepLinearization::FreeFlight f = motion[k].simulator->FreeFlightOfLength(motion[k].length)->flight;
     const double determinant = f.pp * f.vv - f.pv * f.vp;
     for (int j = 0; j < 2; ++j) {
       double &p = (*x)[size * body + j], &v = (*x)[size * body + 2 + j];
@@ -364,7 +365,7 @@ Plan MakePlan(const SceneIntervals& motion, std::span<const double> control) {
     }
     if (size == 4 + kSpin) (*x)[size * body + 4] += (backwards ? -1 : 1) * motion[k].length * (*x)[size * body + 5];
   };
-  const bool flies = simulator.FreeFlightOver(simulator.step()).has_value();
+  const bool flies = simulator.FreeFlightOfLength(simulator.step()).has_value();
   // Extends the motion over `nodes` nodes from `from` on, forwards or backwards, from the state at the node before.
   const auto extend = [&](int event, int interval, int from, int nodes, bool backwards) {
     std::vector<Eigen::VectorXd> states;
@@ -408,7 +409,7 @@ bool FeedbackControl(const Plan& plan, const std::vector<Eigen::MatrixXd>& gains
   const auto take = [&](int interval) { std::copy_n(plan.control.begin() + interval * m, m, u.begin()); };
   take(k);
   if (gains.empty()) return false;
-  const std::optional<std::vector<Occurrence>> happened = Happened(plan, k, events);
+  const std::optional<std::vector<Occurrence>> happened = MatchEvents(plan, k, events);
   if (!happened) return false;
   const Eigen::VectorXd* reference = &plan.states[k];
   int interval = k, odd = -1;
@@ -481,7 +482,7 @@ MonteCarlo RunMonteCarlo(const Plan& plan, const std::vector<Eigen::MatrixXd>& g
     }
     ++ran;
     losses += outcome.loss;
-    if (!outcome.as_planned) ++out.otherwise;
+    if (!outcome.as_planned) ++out.off_plan;
     if (outcome.final_state.size() != n) continue;
     ++out.counted;
     const Eigen::VectorXd error = outcome.final_state - planned;

@@ -41,11 +41,11 @@ std::string Covariance::Warning(double small) const {
   if (!(change_probability > small)) return "";
   const SequenceRisk& largest = risks.front();
   return "the sequence of events changes with a probability of up to " + ToText(change_probability, 2) +
-         ", most likely because " + largest.what + " at t = " + ToText(largest.time, 6) + " (probability " +
+         ", most likely because " + largest.description + " at t = " + ToText(largest.time, 6) + " (probability " +
          ToText(largest.probability, 2) + "); covariances are of first order";
 }
 
-std::string WhatIsWrongWith(const Noise& noise, const LinearMotion& motion) {
+std::string Validate(const Noise& noise, const LinearMotion& motion) {
   const Eigen::Index n = motion.intervals.front().A.cols(), m = motion.intervals.front().B.cols();
   for (const LinearInterval& interval : motion.intervals) {
     if ((noise.process.size() > 0 && interval.A.rows() != n) ||
@@ -58,7 +58,7 @@ std::string WhatIsWrongWith(const Noise& noise, const LinearMotion& motion) {
                                            std::tuple("process", &noise.process, n),
                                            std::tuple("measurement", &noise.measurement, n)}) {
     if (matrix->rows() == 0 && matrix->cols() == 0) continue;
-    if (std::string wrong = WhatIsWrongWithSymmetric(*matrix, size, /*definite=*/false); !wrong.empty()) {
+    if (std::string wrong = ValidateSymmetric(*matrix, size, /*definite=*/false); !wrong.empty()) {
       return "covariance of the " + std::string(what) + ": " + wrong;
     }
   }
@@ -124,7 +124,7 @@ Covariance Propagate(const LinearMotion& motion, const Noise& noise, const Regul
       }
       for (const std::size_t i : before) {
         const Pending& last = events[i];
-        if (event.follows) continue;
+        if (event.immediate) continue;
         double variance = 0;
         if (last.interval == k) {
           const Eigen::RowVectorXd by_state = now.by_state - last.by_state,

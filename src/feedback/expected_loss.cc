@@ -41,7 +41,7 @@ class MeanLoss final : public ShootingFunction {
       const Eigen::VectorXd there = point.offset.size() > 0 ? Eigen::VectorXd(at + point.offset) : at;
       double loss_there = 0;
       if (!point.function->Evaluate({there.data(), z.size()}, &loss_there, gradient ? one.data() : nullptr)) {
-        why_ = "of one of the points of the expectation: " + point.function->WhyFailed();
+        why_ = "of one of the points of the expectation: " + point.function->FailureReason();
         return false;
       }
       *loss += loss_there / static_cast<double>(points_.size());
@@ -50,7 +50,7 @@ class MeanLoss final : public ShootingFunction {
     if (gradient) Eigen::Map<Eigen::VectorXd>(gradient, n) = sum;
     return true;
   }
-  std::string WhyFailed() const override { return why_; }
+  std::string FailureReason() const override { return why_; }
   bool stopped() const override { return stop_ && stop_(); }
 
   // A mean is given no residuals.
@@ -109,13 +109,13 @@ SolveReport NotApplicable(std::string reason) {
   return report;
 }
 
-std::string WhatIsWrongWith(const Errors& errors, Eigen::Index initial_size, Eigen::Index num_variables) {
+std::string Validate(const Errors& errors, Eigen::Index initial_size, Eigen::Index num_variables) {
   if (errors.initial.size() > 0) {
-    const std::string wrong = WhatIsWrongWithSymmetric(errors.initial, initial_size, /*definite=*/false);
+    const std::string wrong = ValidateSymmetric(errors.initial, initial_size, /*definite=*/false);
     if (!wrong.empty()) return "errors of the initial state: " + wrong;
   }
   if (errors.variables.size() > 0) {
-    const std::string wrong = WhatIsWrongWithSymmetric(errors.variables, num_variables, /*definite=*/false);
+    const std::string wrong = ValidateSymmetric(errors.variables, num_variables, /*definite=*/false);
     if (!wrong.empty()) return "errors of the variables: " + wrong;
   }
   if (RootOfCovariance(errors.initial).cols() + RootOfCovariance(errors.variables).cols() == 0) {
@@ -151,7 +151,7 @@ SolveReport SolveExpectedLoss(const SolveRequest& request, const Errors& errors,
   };
   const int initial_size = InitialSize(request.scene);
   const int num_variables = make(Eigen::VectorXd::Zero(initial_size))->num_variables();
-  if (std::string wrong = WhatIsWrongWith(errors, initial_size, num_variables); !wrong.empty()) {
+  if (std::string wrong = Validate(errors, initial_size, num_variables); !wrong.empty()) {
     return NotApplicable(wrong);
   }
   ExpectedLossRun run(errors, options, initial_size, make);
@@ -167,7 +167,7 @@ SolveReport SolveExpectedLoss(const HybridProblem& problem, const Errors& errors
   };
   const auto initial_size = static_cast<int>(problem.guess.initial.size());
   const int num_variables = HybridShooting(problem).num_variables();
-  if (std::string wrong = WhatIsWrongWith(errors, initial_size, num_variables); !wrong.empty()) {
+  if (std::string wrong = Validate(errors, initial_size, num_variables); !wrong.empty()) {
     return NotApplicable(wrong);
   }
   if (errors.initial.size() > 0 && !problem.free.initial.empty()) {

@@ -52,7 +52,7 @@ FeedbackStudy Run(const Study& of) {
     study.reason = "the motion has no derivative";
     return study;
   }
-  if (study.reason = WhatIsWrongWith(of.noise, of.linear); !study.reason.empty()) return study;
+  if (study.reason = Validate(of.noise, of.linear); !study.reason.empty()) return study;
   study.planned = of.plan.states.back();
   study.samples = options.samples;
   if (of.loss) {
@@ -88,7 +88,7 @@ FeedbackStudy Run(const Study& of) {
   return study;
 }
 
-std::string WhyTooLarge(int intervals, int states) {
+std::string ReasonTooLarge(int intervals, int states) {
   if (static_cast<std::size_t>(intervals) * states * states <= kMostNumbers) return "";
   return std::to_string(intervals) + " matrices of " + std::to_string(states) + " x " + std::to_string(states) +
          " numbers do not fit into 512 MiB";
@@ -108,7 +108,7 @@ Noise NoiseOf(const Scene& scene, const FeedbackOptions& options, int body_size)
   };
   // The deviations of forces, and of torques divided by radii (simulator.h).
   std::vector<double> controls(2 * scene.control.bodies.size(), DeviationOf(options, "force"));
-  for (const int body : scene.control.turned) {
+  for (const int body : scene.control.torque_bodies) {
     controls.push_back(DeviationOf(options, "torque") / scene.bodies[body].radius);
   }
   const auto [initial, process, measured] = kDeviationPrefixes;
@@ -120,15 +120,15 @@ Noise NoiseOf(const Scene& scene, const FeedbackOptions& options, int body_size)
 FeedbackStudy StudyFeedback(const Scene& given, const std::vector<double>& initial, const std::vector<double>& control,
                             const std::vector<double>& durations, const FeedbackOptions& options, int threads) {
   double price_of_time = 0;
-  Scene scene = WithFixedTime(given, {initial, control, durations}, &price_of_time);
+  Scene scene = FixFinalTime(given, {initial, control, durations}, &price_of_time);
   if (scene.num_controlled() > 0) scene.steps = static_cast<int>(control.size() / scene.control_width());
   FeedbackStudy none;
-  none.reason = WhyTooLarge(scene.steps, static_cast<int>(InitialSize(scene)));
+  none.reason = ReasonTooLarge(scene.steps, static_cast<int>(InitialSize(scene)));
   if (!none.reason.empty()) return none;
   // One step of the plant is one interval of the plan, whatever its model.
   Scene plant_scene = scene;
   plant_scene.steps *= FindContactModel(Contact(options.plant).name())->grid_steps;
-  none.reason = WhyNotApplicable(options.plant, plant_scene);
+  none.reason = ReasonNotApplicable(options.plant, plant_scene);
   if (!none.reason.empty()) return none;
   ScenePlan planned = PlanScene(scene, initial, control, durations);
   none.reason = planned.reason;
@@ -188,13 +188,13 @@ FeedbackStudy StudyFeedback(const HybridProblem& problem, const HybridInput& inp
   HybridSimulator motion(system, problem.integration);
   FeedbackStudy none;
   if (!motion.Rollout(input)) {
-    none.reason = motion.WhyFailed();
+    none.reason = motion.FailureReason();
     return none;
   }
-  none.reason = WhyTooLarge(input.num_intervals, system.functions().most_states());
+  none.reason = ReasonTooLarge(input.num_intervals, system.functions().most_states());
   if (!none.reason.empty()) return none;
   Study study{options, threads, MakePlan(motion, input), Linearize(motion, input)};
-  if (none.reason = motion.WhyNotFinite(); !none.reason.empty()) return none;
+  if (none.reason = motion.ReasonNotFinite(); !none.reason.empty()) return none;
   for (int mode = 0; mode < system.functions().num_base_modes(); ++mode) {
     study.Q.push_back(Eigen::MatrixXd::Identity(system.state_size(mode), system.state_size(mode)));
   }
@@ -211,7 +211,7 @@ FeedbackStudy StudyFeedback(const HybridProblem& problem, const HybridInput& inp
   study.noise = {of_states(initial), Diagonal(controls), of_states(process), of_states(measured)};
   study.make_plant = [&] { return MakePlant(motion, input); };
   FeedbackStudy out = Run(study);
-  if (out.reason.empty()) out.remark = motion.WhyNotDifferentiable();
+  if (out.reason.empty()) out.remark = motion.ReasonNotDifferentiable();
   return out;
 }
 

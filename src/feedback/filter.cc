@@ -66,9 +66,9 @@ class HybridMotion final : public internal::FilterMotion {
     }
     input.mode = *mode;
     input.initial.assign(x->data(), x->data() + x->size());
-    if (!simulator_.RolloutAccurately(input)) return simulator_.WhyFailed();
+    if (!simulator_.RolloutAccurately(input)) return simulator_.FailureReason();
     const HybridSensitivity by = simulator_.IntervalSensitivities()[0];
-    if (!simulator_.WhyNotFinite().empty()) return "the mean has no derivative: " + simulator_.WhyNotFinite();
+    if (!simulator_.ReasonNotFinite().empty()) return "the mean has no derivative: " + simulator_.ReasonNotFinite();
     const Eigen::Map<const RowMajor> end(by.final_state.data(), by.final_state.size() / by.columns, by.columns);
     *F = Multiply(end.leftCols(x->size()), *F);
     const std::span<const double> final_state = simulator_.final_state();
@@ -111,7 +111,8 @@ class SceneMotion final : public internal::FilterMotion {
     if (duration + before != scene_.duration || !simulator_) {
       scene_.duration = duration + before;
       simulator_.reset();
-      if (std::string why_not = WhyNotApplicable({"event"}, scene_); !why_not.empty()) return why_not;
+      if (std::string reason_not_applicable = ReasonNotApplicable({"event"}, scene_); !reason_not_applicable.empty())
+        return reason_not_applicable;
       simulator_ = MakeSimulator({"event"}, scene_, Precision::kDouble);
       simulator_->set_stop(stop_);
     }
@@ -186,12 +187,12 @@ class SceneMotion final : public internal::FilterMotion {
 
 }  // namespace
 
-std::string WhatIsWrongWithEstimate(const Eigen::VectorXd& mean, const Eigen::MatrixXd& covariance, Eigen::Index size) {
+std::string ValidateEstimate(const Eigen::VectorXd& mean, const Eigen::MatrixXd& covariance, Eigen::Index size) {
   if (mean.size() != size) {
     return "mean: found " + std::to_string(mean.size()) + " numbers, expected " + std::to_string(size);
   }
   if (!mean.allFinite()) return "mean: found a number that is not finite";
-  const std::string wrong = WhatIsWrongWithSymmetric(covariance, size, /*definite=*/false);
+  const std::string wrong = ValidateSymmetric(covariance, size, /*definite=*/false);
   return wrong.empty() ? "" : "covariance: " + wrong;
 }
 
@@ -199,14 +200,14 @@ SaltedKalmanFilter::SaltedKalmanFilter(HybridSystem system, std::vector<double> 
                                        Eigen::VectorXd mean, Eigen::MatrixXd covariance, HybridOptions integration)
     : time_(time), mode_(mode), mean_(std::move(mean)), covariance_(std::move(covariance)) {
   CHECK(mode_ >= 0 && mode_ < system.num_modes());
-  CHECK_EQ(WhatIsWrongWithEstimate(mean_, covariance_, system.state_size(mode_)), "");
+  CHECK_EQ(ValidateEstimate(mean_, covariance_, system.state_size(mode_)), "");
   motion_ = std::make_unique<HybridMotion>(std::move(system), std::move(parameters), integration);
 }
 
 SaltedKalmanFilter::SaltedKalmanFilter(Scene scene, double time, Eigen::VectorXd mean, Eigen::MatrixXd covariance,
                                        StopRequest stop)
     : time_(time), mean_(std::move(mean)), covariance_(std::move(covariance)) {
-  CHECK_EQ(WhatIsWrongWithEstimate(mean_, covariance_, InitialSize(scene)), "");
+  CHECK_EQ(ValidateEstimate(mean_, covariance_, InitialSize(scene)), "");
   motion_ = std::make_unique<SceneMotion>(std::move(scene), std::move(stop));
 }
 
@@ -227,7 +228,7 @@ bool SaltedKalmanFilter::Predict(double time, std::span<const double> control, c
   if (!why_.empty()) return false;
   Eigen::MatrixXd covariance = Transported(F, covariance_);
   if (process.size() > 0) {
-    if (why_ = WhatIsWrongWithSymmetric(process, x.size(), /*definite=*/false); !why_.empty()) {
+    if (why_ = ValidateSymmetric(process, x.size(), /*definite=*/false); !why_.empty()) {
       why_ = "process: " + why_;
       return false;
     }

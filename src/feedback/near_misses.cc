@@ -105,7 +105,7 @@ class IntervalEvents {
         return event.time - other.time <= kSameTime * length_ && SharesDisc(other.discs, event.discs);
       });
       if (cause == interval_->events.end()) return;
-      event.follows = true;
+      event.immediate = true;
       event.by_state = cause->by_state;
       event.by_control = cause->by_control;
     }

@@ -24,7 +24,7 @@ bool TakeEventsBehindGuards(const HybridSystem& system, double t, std::span<cons
   const HybridFunctions& f = system.functions();
   std::vector<double> slope(f.most_states()), after(f.most_states());
   const auto here = [&] { return ModePoint{*mode, t, x->data(), control.data(), parameters.data()}; };
-  *mode = f.ModeUnder(here());
+  *mode = f.ModeAfterControlJump(here());
   for (int count = 0; *mode >= 0 && count < kMostEvents; ++count) {
     f.Flow(here(), slope.data());
     int guard = 0;
@@ -42,14 +42,14 @@ bool TakeEventsBehindGuards(const HybridSystem& system, double t, std::span<cons
           system, *mode, guard, t, {x->data(), static_cast<std::size_t>(x->size())}, control, parameters);
       *saltation = Eigen::Map<const RowMajor>(xi.data(), xi.size() / x->size(), x->size()) * *saltation;
     }
-    if (events) events->push_back({t, *mode, guard, next, rate, {}, {}, /*at_once=*/true});
+    if (events) events->push_back({t, *mode, guard, next, rate, {}, {}, /*immediate=*/true});
     *x = Eigen::Map<const Eigen::VectorXd>(after.data(), system.state_size(next));
     *mode = next;
   }
   return false;
 }
 
-std::string WhatIsWrongWithSymmetric(const Eigen::MatrixXd& matrix, Eigen::Index size, bool definite) {
+std::string ValidateSymmetric(const Eigen::MatrixXd& matrix, Eigen::Index size, bool definite) {
   if (matrix.rows() != size || matrix.cols() != size) {
     return "found a matrix of " + std::to_string(matrix.rows()) + " x " + std::to_string(matrix.cols()) +
            ", expected " + std::to_string(size) + " x " + std::to_string(size);

@@ -31,7 +31,7 @@ bool TakeEventsBehindGuards(const HybridSystem& system, double t, std::span<cons
                             std::vector<HybridEvent>* events, Eigen::MatrixXd* saltation);
 
 // Checks a symmetric matrix of `size` rows that must be positive (semi)definite: "found x, expected y", empty if it is.
-std::string WhatIsWrongWithSymmetric(const Eigen::MatrixXd& matrix, Eigen::Index size, bool definite);
+std::string ValidateSymmetric(const Eigen::MatrixXd& matrix, Eigen::Index size, bool definite);
 
 // A matrix L with L L' = covariance, of as many columns as its rank; no columns if it is empty.
 Eigen::MatrixXd RootOfCovariance(const Eigen::MatrixXd& covariance);

@@ -252,7 +252,7 @@ LinearMotion Linearize(HybridSimulator& motion, const HybridInput& input) {
                                  .name = NameOf(system, happened.mode, happened.guard),
                                  .by_state = row.head(n),
                                  .by_control = row.tail(num_controls),
-                                 .follows = happened.at_once});
+                                 .immediate = happened.immediate});
     }
     // The guard of the event that ends the phase goes to zero as planned; that of the event before comes from zero.
     const auto planned = [&](std::size_t i, int guard) {
@@ -281,7 +281,7 @@ LinearMotion Linearize(HybridSimulator& motion, const HybridInput& input) {
   return linear;
 }
 
-std::string WhatIsWrongWith(const TrackingCost& cost, const HybridSimulator& motion) {
+std::string Validate(const TrackingCost& cost, const HybridSimulator& motion) {
   const HybridSystem& system = motion.system();
   const auto count = static_cast<int>(cost.Q.size());
   if (count != 1 && count != system.functions().num_base_modes()) {
@@ -291,19 +291,18 @@ std::string WhatIsWrongWith(const TrackingCost& cost, const HybridSimulator& mot
   for (int i = 0; i < motion.num_steps(); ++i) {
     const int mode = motion.StepMode(i);
     if (i > 0 && mode == motion.StepMode(i - 1)) continue;
-    const std::string wrong = WhatIsWrongWithSymmetric(
+    const std::string wrong = ValidateSymmetric(
         cost.Q[count == 1 ? 0 : system.functions().BaseMode(mode)], system.state_size(mode), /*definite=*/false);
     if (!wrong.empty()) return "Q of mode '" + system.ModeName(mode) + "': " + wrong;
   }
-  if (std::string wrong = WhatIsWrongWithSymmetric(cost.R, system.num_controls(), /*definite=*/true); !wrong.empty()) {
+  if (std::string wrong = ValidateSymmetric(cost.R, system.num_controls(), /*definite=*/true); !wrong.empty()) {
     return "R: " + wrong;
   }
-  const std::string wrong =
-      WhatIsWrongWithSymmetric(cost.QT, system.state_size(motion.final_mode()), /*definite=*/false);
+  const std::string wrong = ValidateSymmetric(cost.QT, system.state_size(motion.final_mode()), /*definite=*/false);
   return wrong.empty() ? "" : "QT: " + wrong;
 }
 
-std::string WhatIsWrongWith(const Regulator& regulator, const LinearMotion& motion) {
+std::string Validate(const Regulator& regulator, const LinearMotion& motion) {
   if (regulator.gains.size() != motion.intervals.size()) {
     return "gains: found " + std::to_string(regulator.gains.size()) + ", expected one for each of " +
            std::to_string(motion.intervals.size()) + " intervals";
@@ -353,7 +352,7 @@ Regulator TrackContinuously(const HybridSimulator& motion, const HybridInput& in
   const HybridSystem& system = motion.system();
   const std::vector<double> zeros(system.num_controls());
   const int K = input.num_intervals, num_steps = motion.num_steps();
-  if (std::any_of(motion.events().begin(), motion.events().end(), [](const HybridEvent& e) { return e.at_once; })) {
+  if (std::any_of(motion.events().begin(), motion.events().end(), [](const HybridEvent& e) { return e.immediate; })) {
     return {};
   }
   // The steps of the motion with their controls, and the step with which each interval begins.
@@ -386,7 +385,7 @@ Regulator TrackContinuously(const HybridSimulator& motion, const HybridInput& in
         const int n = system.state_size(step.mode);
         if (motion.IsReset(i)) {
           const HybridEvent& happened = motion.events()[--event];
-          Regulator::AtEvent& at = regulator.events[event];
+          Regulator::EventJump& at = regulator.events[event];
           const std::vector<double> xi = SaltationMatrix(system,
                                                          happened.mode,
                                                          happened.guard,

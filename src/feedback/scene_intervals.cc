@@ -17,7 +17,7 @@ std::unique_ptr<Simulator> MakePart(const Contact& contact, const Scene& whole, 
   if (!contact.entry()->traits.event_driven || whole.units.natural) {
     return MakeSimulator(contact, part, Precision::kDouble);
   }
-  Scene natural = InNaturalUnits(whole);
+  Scene natural = ToNaturalUnits(whole);
   natural.steps = part.steps;
   natural.duration = part.duration * UnitFactors(whole.units, natural.units).time;
   return ConvertUnits(part, MakeSimulator(contact, natural, Precision::kDouble));
@@ -102,7 +102,7 @@ std::string SceneIntervals::Rollout(std::vector<double> x, std::span<const doubl
     if (!part->Rollout(x, rows)) {
       const std::string since =
           own_.size() > 1 ? ", of those from t = " + ToText(intervals_[first].begin, 6) + " s on" : "";
-      return part->WhyFailed() + since;
+      return part->FailureReason() + since;
     }
     std::vector<double> end(part->state_size());
     part->GetState(part->num_steps(), end);

@@ -9,9 +9,9 @@
 #include "saltus/control/contact_sequence.h"
 #include "saltus/feedback/closed_loop.h"
 #include "saltus/scene/walls.h"
-#include "saltus/simulate/event_sides.h"
 #include "saltus/simulate/events.h"
 #include "saltus/simulate/exact_run.h"
+#include "saltus/simulate/one_sided_derivatives.h"
 #include "scene/units.h"
 #include "solve/control_guess.h"
 
@@ -108,7 +108,7 @@ std::string RemarkOn(const SceneIntervals& motion, const Scene& at_start) {
   }
   std::string discs;
   int last = -1;
-  for (const OneSided& one : OneSidedDerivatives(InNaturalUnits(at_start))) {
+  for (const OneSided& one : OneSidedDerivatives(ToNaturalUnits(at_start))) {
     if (one.body != last) discs += (discs.empty() ? "" : ", ") + at_start.bodies[one.body].name;
     last = one.body;
   }
@@ -127,13 +127,13 @@ ScenePlan PlanScene(Scene scene, const std::vector<double>& initial, const std::
   if (width > 0) scene.steps = static_cast<int>(control.size() / width);
   ScenePlan planned;
   const Contact event(ExactModel()->name);
-  planned.reason = WhyNotApplicable(event, scene);
-  if (const std::string beyond = BeyondBallistic(scene); planned.reason.empty() && !beyond.empty()) {
+  planned.reason = ReasonNotApplicable(event, scene);
+  if (const std::string beyond = NonBallisticForces(scene); planned.reason.empty() && !beyond.empty()) {
     planned.reason = "the scene has " + beyond +
                      "; feedback is planned along flights of constant acceleration: use the scene as a hybrid system "
                      "(saltus.hybrid_problem), whose regulators take it";
   }
-  if (planned.reason.empty() && width > 0) planned.reason = WhatIsWrongWith(ControlGuess{control, durations}, scene);
+  if (planned.reason.empty() && width > 0) planned.reason = Validate(ControlGuess{control, durations}, scene);
   if (!planned.reason.empty()) return planned;
   planned.lengths = durations;
   if (width == 0 || durations.empty()) planned.lengths.assign(scene.steps, scene.dt());

@@ -368,10 +368,10 @@ class BranchAndBound {
 
 }  // namespace
 
-std::string WhyNotBounded(const Scene& scene) {
+std::string UnsupportedByGlobalBound(const Scene& scene) {
   if (scene.optimize != Optimize::kControl) return "the global bound needs a scene whose control is optimized";
   if (!scene.design.empty()) return "the global bound does not support design parameters";
-  if (std::string found = BeyondPlainDiscs(scene); !found.empty()) {
+  if (std::string found = NonBallisticFeatures(scene); !found.empty()) {
     return "the global bound supports discs and planes only; the scene has " + found;
   }
   if (HasFriction(scene)) return "the global bound supports contacts without friction only";
@@ -379,7 +379,7 @@ std::string WhyNotBounded(const Scene& scene) {
   Scene without_bounds = scene;  // the relaxation has bounds on forces
   without_bounds.control.max.clear();
   without_bounds.control.max_norm.clear();
-  if (std::string found = BeyondTerminalCost(without_bounds); !found.empty()) {
+  if (std::string found = NonTerminalFeatures(without_bounds); !found.empty()) {
     return "the global bound supports terminal costs and effort only; the scene has " + found;
   }
   for (const TerminalTerm& term : scene.objective.terminal) {

@@ -111,7 +111,7 @@ struct Numbers {
   std::vector<Touch> touches;
   std::vector<Term> terms;
 
-  static Pair<B> Of(const Vec2d& a) { return {B(a[0]), B(a[1])}; }
+  static Pair<B> ToPair(const Vec2d& a) { return {B(a[0]), B(a[1])}; }
 
   explicit Numbers(const Scene& scene)
       : duration(scene.duration),
@@ -120,7 +120,7 @@ struct Numbers {
         total_mass(0),
         first_root(0),
         has_gravity(scene.gravity != Vec2d::Zero()),
-        gravity(Of(scene.gravity)) {
+        gravity(ToPair(scene.gravity)) {
     double lightest_mass = std::numeric_limits<double>::infinity();
     B energy(0);
     Pair<B> momentum;
@@ -129,8 +129,8 @@ struct Numbers {
       const std::vector<int>& pushed = scene.control.bodies;
       Disc disc{std::find(pushed.begin(), pushed.end(), i) != pushed.end(),
                 body.fixed,
-                Of(body.position),
-                Of(body.velocity),
+                ToPair(body.position),
+                ToPair(body.velocity),
                 B(body.mass),
                 B(0)};
       const B& mass = disc.mass;
@@ -167,7 +167,7 @@ struct Numbers {
       if (term.weight == 0) continue;
       terms.push_back({term.body,
                        term.quantity == TerminalTerm::Quantity::kPosition,
-                       Of(term.target),
+                       ToPair(term.target),
                        B(1) / (B(4) * B(term.weight))});
     }
   }
@@ -191,20 +191,20 @@ struct Numbers {
     const int other = pair.plane ? scene.planes[pair.b].material : scene.bodies[pair.b].material;
     const B bounce = B(1) + B(ContactBetween(scene, a.material, other).restitution);
     Touch touch{pair, true, B(a.radius), {}, {}, bounce, B(0), B(0)};
-    const Pair<B> gravity = Of(scene.gravity);
+    const Pair<B> gravity = ToPair(scene.gravity);
     if (pair.plane) {
       const Plane& plane = scene.planes[pair.b];
-      const Pair<B> normal = Of(plane.normal);
+      const Pair<B> normal = ToPair(plane.normal);
       const B length = SquareRoot(Square(normal.x) + Square(normal.y));
       touch.normal = {normal.x / length, normal.y / length};
-      touch.distance += Dot(touch.normal, Of(plane.point));
+      touch.distance += Dot(touch.normal, ToPair(plane.point));
       touch.fall = Positive(-Dot(touch.normal, gravity));
       return touch;
     }
     const Body& b = scene.bodies[pair.b];
     touch.distance += B(b.radius);
     if (a.fixed || b.fixed) {
-      touch.place = Of(a.fixed ? a.position : b.position);
+      touch.place = ToPair(a.fixed ? a.position : b.position);
       touch.fall = SquareRoot(Square(gravity.x) + Square(gravity.y));
       if (a.fixed) std::swap(touch.pair.a, touch.pair.b);
       return touch;
@@ -1283,7 +1283,7 @@ class Relaxation::Impl {
     AddDualFunction<Interval>(rounded_, box, layout, theta.data(), z.data(), S(), weights, &dual);
     if (!(dual.error < std::numeric_limits<double>::infinity())) return;
 
-    std::vector<Wait<N>> order;  // those of consecutive impacts that may be negative in the box
+    std::vector<WaitingTime<N>> order;  // those of consecutive impacts that may be negative in the box
     for (size_t i = 1; i < box.sequence.size(); ++i) {
       const int before = box.TimeIndex(static_cast<int>(i) - 1), at = box.TimeIndex(static_cast<int>(i));
       if (box.high[before] > box.low[at]) order.push_back({before, at, theta[at] - theta[before]});
@@ -1293,7 +1293,7 @@ class Relaxation::Impl {
     std::vector<BoxPart<N>> parts;
     const auto keep = [&](BoxPart<N> part) {
       for (const auto& wait : order) {
-        if (wait.In(part).upper() < 0) return;
+        if (wait.EncloseDifference(part).upper() < 0) return;
       }
       BoundPart(dual, order, &part);
       parts.push_back(part);

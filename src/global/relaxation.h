@@ -67,7 +67,7 @@ struct BoxBound {
 
 class Relaxation {
  public:
-  // Precondition: WhyNotBounded(scene) is empty.
+  // Precondition: UnsupportedByGlobalBound(scene) is empty.
   explicit Relaxation(const Scene& scene);
   ~Relaxation();
 

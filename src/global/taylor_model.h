@@ -145,11 +145,11 @@ struct BoxPart {
 
 // The time from one impact to the next, which is not negative in motions. Both are parameters.
 template <int N>
-struct Wait {
+struct WaitingTime {
   int from = 0, to = 0;
   TaylorModel<N> time;  // linear
 
-  Interval In(const BoxPart<N>& part) const {
+  Interval EncloseDifference(const BoxPart<N>& part) const {
     const Interval range[] = {{part.low[from], part.high[from]}, {part.low[to], part.high[to]}};
     return Interval(time.value - time.error, time.value + time.error) + Interval(time.slope[from]) * range[0] +
            Interval(time.slope[to]) * range[1];
@@ -158,7 +158,7 @@ struct Wait {
 
 // Bounds the function from below in that part of the box where no wait is negative.
 template <int N>
-void BoundPart(const TaylorModel<N>& f, const std::vector<Wait<N>>& waits, BoxPart<N>* part) {
+void BoundPart(const TaylorModel<N>& f, const std::vector<WaitingTime<N>>& waits, BoxPart<N>* part) {
   // The polynomial around the middle of the part. Its coefficients are sums of those of f with factors below 2.
   std::array<double, N> middle, radius, slope = f.slope;
   double value = f.value, least = 0;
@@ -182,14 +182,14 @@ void BoundPart(const TaylorModel<N>& f, const std::vector<Wait<N>>& waits, BoxPa
     }
   }
   // The function is at least as large as without a multiple of a wait. Its slopes become smaller by that.
-  for (const Wait<N>& wait : waits) {
+  for (const WaitingTime<N>& wait : waits) {
     const double to = wait.time.slope[wait.to], from = -wait.time.slope[wait.from];
     const double multiple = std::min(slope[wait.to] / to, -slope[wait.from] / from);
     if (!(multiple > 0)) continue;
     BoxPart<N> centre = *part;
     centre.low[wait.from] = centre.high[wait.from] = middle[wait.from];
     centre.low[wait.to] = centre.high[wait.to] = middle[wait.to];
-    value -= (Interval(multiple) * wait.In(centre)).upper();
+    value -= (Interval(multiple) * wait.EncloseDifference(centre)).upper();
     slope[wait.to] -= multiple * to;
     slope[wait.from] += multiple * from;
   }

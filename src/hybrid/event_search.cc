@@ -53,7 +53,7 @@ GapPolynomial Hermite(const GuardValue& begin, const GuardValue& end, double h) 
 
 EventSearch::EventSearch(const HybridFunctions& functions) : functions_(functions), integrator_(functions) {}
 
-GuardValue EventSearch::At(const FlowStep& step, const double* slope, int guard) const {
+GuardValue EventSearch::GuardAt(const FlowStep& step, const double* slope, int guard) const {
   GuardValue at;
   at.value = functions_.GuardRate(step, guard, slope, &at.rate);
   return at;
@@ -90,12 +90,12 @@ FlowStep EventSearch::PointAfter(const FlowStep& step, const double* slope, doub
   return part;
 }
 
-GuardValue EventSearch::After(const FlowStep& step, const double* slope, int guard, double s) {
+GuardValue EventSearch::GuardAfter(const FlowStep& step, const double* slope, int guard, double s) {
   const FlowStep then = PointAfter(step, slope, s);
   const double* slope_then = then.x + functions_.state_size(step.mode);
   Kept& kept = *std::ranges::find(kept_, s, &Kept::s);
   // The forces of closed contacts are one problem for all guards: the second guard that asks finds those of all.
-  if (!functions_.Projects(step.mode) || !std::exchange(kept.asked, true)) return At(then, slope_then, guard);
+  if (!functions_.Projects(step.mode) || !std::exchange(kept.asked, true)) return GuardAt(then, slope_then, guard);
   if (kept.guards.empty()) {
     kept.guards.resize(functions_.num_guards(step.mode));
     functions_.GuardRates(then, slope_then, kept.guards.data());
@@ -139,7 +139,7 @@ EventSearch::Window EventSearch::WindowOf(const FlowStep& step, int guard, doubl
   return {ErrorBy(step, terms, rate, elapsed, kStateRounding), ErrorBy(step, terms, rate, elapsed, kIntegrated)};
 }
 
-void EventSearch::Enter(const FlowStep& step) {
+void EventSearch::EnterMode(const FlowStep& step) {
   flow_scales_.clear();
   terms_.clear();
   begins_.assign(1, 0);
@@ -151,27 +151,27 @@ void EventSearch::Enter(const FlowStep& step) {
 bool EventSearch::StaysAtZero(const FlowStep& step, const double* slope, int guard, const GuardValue& begin,
                               const GuardValue& end, double s) {
   if (begin.value != 0 || end.value != 0) return false;
-  return (begin.rate == 0 && end.rate == 0) || After(step, slope, guard, kInside * s).value == 0;
+  return (begin.rate == 0 && end.rate == 0) || GuardAfter(step, slope, guard, kInside * s).value == 0;
 }
 
-EventSearch::Standing EventSearch::Classify(const FlowStep& step, const double* slope, int guard, const GuardValue& now,
-                                            double elapsed) {
+EventSearch::GuardStatus EventSearch::Classify(const FlowStep& step, const double* slope, int guard,
+                                               const GuardValue& now, double elapsed) {
   const int n = functions_.state_size(step.mode);
   const int columns = n + 1 + functions_.layout().num_parameters + functions_.layout().num_controls;
   const Terms terms = Terms(terms_).subspan(begins_[guard], begins_[guard + 1] - begins_[guard]);
   elapsed = std::min(elapsed, step.h);
   double at_zero = ErrorBy(step, terms, now.rate, elapsed, kAtZero);
-  if (now.value > at_zero) return Standing::kArmed;
+  if (now.value > at_zero) return GuardStatus::kArmed;
   double ahead = 0.5 * step.h;
-  GuardValue later = After(step, slope, guard, ahead);
+  GuardValue later = GuardAfter(step, slope, guard, ahead);
   // Steps that are too long for the flow lead to no numbers.
   while (!std::isfinite(later.value + later.rate) && ahead > kShortest * step.h) {
     ahead *= 0.0625;
-    later = After(step, slope, guard, ahead);
+    later = GuardAfter(step, slope, guard, ahead);
   }
   at_zero += kAtZero * std::abs(later.value - now.value) * (elapsed / step.h);
-  if (now.value < -at_zero) return Standing::kBehind;
-  if (StaysAtZero(step, slope, guard, now, later, ahead)) return Standing::kRising;
+  if (now.value < -at_zero) return GuardStatus::kBehind;
+  if (StaysAtZero(step, slope, guard, now, later, ahead)) return GuardStatus::kRising;
   if (flow_scales_.empty()) {
     flow_scales_.resize(n);
     jacobian_.resize(static_cast<std::size_t>(n) * columns);
@@ -190,26 +190,26 @@ EventSearch::Standing EventSearch::Classify(const FlowStep& step, const double* 
     if (input < n) noise += of_flow * std::abs(derivative) * flow_scales_[input];
   }
   if (std::abs(now.rate) > std::max(noise, kNoRate * std::max(rate_scale, std::abs(later.rate)))) {
-    return now.rate > 0 ? Standing::kRising : Standing::kFalling;
+    return now.rate > 0 ? GuardStatus::kRising : GuardStatus::kFalling;
   }
   // The first derivative that is not zero has the sign of the guard a little later: from where it exceeds rounding.
   int last = 0;
   for (double s = std::ldexp(step.h, -34); s <= step.h; s *= 4) {
     const FlowStep then = PointAfter(step, slope, s);
-    const double value = At(then, then.x + n, guard).value;
+    const double value = GuardAt(then, then.x + n, guard).value;
     const double noise_then = value == 0 ? 0 : kNoise * Scale(then, guard) + std::abs(now.value);
     const int sign = value > noise_then ? 1 : value < -noise_then ? -1 : 0;
-    if (sign != 0 && sign == last) return sign > 0 ? Standing::kRising : Standing::kSinking;
+    if (sign != 0 && sign == last) return sign > 0 ? GuardStatus::kRising : GuardStatus::kSinking;
     last = sign;
   }
-  return Standing::kRising;
+  return GuardStatus::kRising;
 }
 
 bool EventSearch::FindAbove(const FlowStep& step, const double* slope, int guard, double before, double* above) {
   double s = before;
   for (int i = 0; i < 48; ++i) {
     s *= 0.5;
-    if (After(step, slope, guard, s).value > 0) {
+    if (GuardAfter(step, slope, guard, s).value > 0) {
       *above = s;
       return true;
     }
@@ -217,14 +217,14 @@ bool EventSearch::FindAbove(const FlowStep& step, const double* slope, int guard
   return false;
 }
 
-EventSearch::Found EventSearch::Locate(const FlowStep& step, const double* slope, int guard, double above, double below,
-                                       double guess, double curvature) {
+EventSearch::GuardCrossing EventSearch::Locate(const FlowStep& step, const double* slope, int guard, double above,
+                                               double below, double guess, double curvature) {
   double s = guess > above && guess <= below ? guess : 0.5 * (above + below);
   double best = s, least = std::numeric_limits<double>::infinity(), moved = step.h;
   bool newton = false;  // s is from a Newton step
   GuardValue at, at_best;
   for (int i = 0; i < kMostIterations; ++i) {
-    at = After(step, slope, guard, s);
+    at = GuardAfter(step, slope, guard, s);
     const bool stalls = newton && moved < kSettles * step.h && std::abs(at.value) >= 0.5 * least;
     if (std::abs(at.value) < least) {
       least = std::abs(at.value);
@@ -245,9 +245,9 @@ EventSearch::Found EventSearch::Locate(const FlowStep& step, const double* slope
   // A minimum that is below zero by rounding alone.
   const double depth = curvature > 0 ? 0.5 * at.rate * at.rate / curvature : std::numeric_limits<double>::infinity();
   if (depth <= kGrazes * (Scale(step, guard) + curvature * step.h * step.h)) {
-    return {Found::What::kGrazing, s};
+    return {GuardCrossing::Kind::kGrazing, s};
   }
-  return {Found::What::kEvent, s};
+  return {GuardCrossing::Kind::kEvent, s};
 }
 
 // Where a guard that ends a step below -noise is so after `above`, where it is not.
@@ -255,30 +255,30 @@ double EventSearch::FirstBelow(const FlowStep& step, const double* slope, int gu
   double below = step.h;
   for (int i = 0; i < kMostIterations && below - above > kSettles * step.h; ++i) {
     const double s = 0.5 * (above + below);
-    (After(step, slope, guard, s).value < -noise ? below : above) = s;
+    (GuardAfter(step, slope, guard, s).value < -noise ? below : above) = s;
   }
   return below;
 }
 
-EventSearch::Found EventSearch::FindSinking(const FlowStep& step, const double* slope, int guard,
-                                            const GuardValue& begin, const GuardValue& end, double elapsed) {
+EventSearch::GuardCrossing EventSearch::FindSinking(const FlowStep& step, const double* slope, int guard,
+                                                    const GuardValue& begin, const GuardValue& end, double elapsed) {
   if (!(end.value < 0)) return {};
   const Terms terms = TermsOf(step, guard);
   if (!(end.value < -ErrorBy(step, terms, end.rate, std::min(elapsed, step.h), kAtZero))) return {};
   const double noise = 2 * std::abs(begin.value) + kNoise * ScaleBy(step, terms);
-  return {Found::What::kEvent, FirstBelow(step, slope, guard, 0, noise)};
+  return {GuardCrossing::Kind::kEvent, FirstBelow(step, slope, guard, 0, noise)};
 }
 
 bool EventSearch::MayReturn(const FlowStep& step, int guard, const GuardValue& begin, const GuardValue& end) const {
   return begin.rate > 0 && end.value > 0 && begin.value <= begin.rate * step.h &&
-         functions_.WaitsBehind(step.mode, guard);
+         functions_.RearmsAboveZero(step.mode, guard);
 }
 
 // Finds where a guard that falls at the beginning of a step and rises at its end, but not smoothly, falls below zero. A
 // guard with a kink is lowest where the lines along both ends meet, as that of a corner that passes a corner. Where
 // these meet near an end, the guard is curved at the other end, which a point nearer to the first one replaces.
-EventSearch::Found EventSearch::FindBelowKink(const FlowStep& step, const double* slope, int guard,
-                                              const GuardValue& begin, const GuardValue& end) {
+EventSearch::GuardCrossing EventSearch::FindBelowKink(const FlowStep& step, const double* slope, int guard,
+                                                      const GuardValue& begin, const GuardValue& end) {
   constexpr double kBeside = 0.1;  // of the length between the ends
   constexpr int kMostPoints = 20;
   double from = 0, to = step.h;
@@ -291,7 +291,7 @@ EventSearch::Found EventSearch::FindBelowKink(const FlowStep& step, const double
     const double s = std::clamp(kink, kBeside * length, (1 - kBeside) * length);
     const bool near_zero = falls.value + falls.rate * kink <= kNearZero * lower;
     if (s == kink && !near_zero) break;
-    const GuardValue there = After(step, slope, guard, from + s);
+    const GuardValue there = GuardAfter(step, slope, guard, from + s);
     if (there.value < 0) {
       return Locate(step, slope, guard, from, from + s, from - falls.value / falls.rate, /*curvature=*/-1);
     }
@@ -301,21 +301,21 @@ EventSearch::Found EventSearch::FindBelowKink(const FlowStep& step, const double
   return {};
 }
 
-EventSearch::Found EventSearch::Find(const FlowStep& step, const double* slope, int guard, bool armed,
-                                     const GuardValue& begin, const GuardValue& end) {
+EventSearch::GuardCrossing EventSearch::Find(const FlowStep& step, const double* slope, int guard, bool armed,
+                                             const GuardValue& begin, const GuardValue& end) {
   const double h = step.h;
   if (!(h > 0) || StaysAtZero(step, slope, guard, begin, end, h)) return {};
   const double curvature = (end.rate - begin.rate) / h;
   if (MayReturn(step, guard, begin, end)) {
     // Where it would be back at zero if its second derivative stayed what it is.
-    const GuardValue soon = After(step, slope, guard, kSoon * h);
+    const GuardValue soon = GuardAfter(step, slope, guard, kSoon * h);
     const double second = (soon.rate - begin.rate) / (kSoon * h);
     const double back = second < 0 ? -2 * begin.rate / second : h;
     for (const double part : kBehind) {
       double below = kSoon * h;
       if (soon.value > 0 && part * back < h) below = std::max(below, part * back);
       double above = 0;
-      if (After(step, slope, guard, below).value < 0 && FindAbove(step, slope, guard, below, &above)) {
+      if (GuardAfter(step, slope, guard, below).value < 0 && FindAbove(step, slope, guard, below, &above)) {
         return Locate(step, slope, guard, above, below, back, /*curvature=*/-1);
       }
     }
@@ -332,7 +332,7 @@ EventSearch::Found EventSearch::Find(const FlowStep& step, const double* slope, 
     double low = 0, high = h;  // the rate is negative at low, positive at high
     GuardValue at;
     for (int i = 0; i < kMostIterations; ++i) {
-      at = After(step, slope, guard, s);
+      at = GuardAfter(step, slope, guard, s);
       if (at.value < -noise) break;
       (at.rate < 0 ? low : high) = s;
       double next = s - at.rate / curvature;  // the rate is nearly linear in between
@@ -341,18 +341,18 @@ EventSearch::Found EventSearch::Find(const FlowStep& step, const double* slope, 
       s = next;
     }
     if (at.value - std::abs(at.rate) * (high - low) > noise) return {};  // it may have a kink in between
-    if (at.value >= -noise) return {Found::What::kGrazing, s};
+    if (at.value >= -noise) return {GuardCrossing::Kind::kGrazing, s};
     return Locate(step, slope, guard, 0, s, FirstClosing(cubic, h), curvature);
   }
   const GapPolynomial cubic = Hermite(begin, end, h);
   if (armed) {
-    const Found found = Locate(step, slope, guard, 0, h, FirstClosing(cubic, h), curvature);
-    if (found.what != Found::What::kGrazing) return found;
+    const GuardCrossing found = Locate(step, slope, guard, 0, h, FirstClosing(cubic, h), curvature);
+    if (found.kind != GuardCrossing::Kind::kGrazing) return found;
     const double noise = kGrazes * (Scale(step, guard) + std::abs(curvature) * h * h);
     if (!(end.value < -noise)) return found;
     // A guard with a kink, behind which it is below zero: where it falls, or is by more than rounding.
-    if (After(step, slope, guard, found.s).rate < 0) return {Found::What::kEvent, found.s};
-    return {Found::What::kEvent, FirstBelow(step, slope, guard, found.s, noise)};
+    if (GuardAfter(step, slope, guard, found.s).rate < 0) return {GuardCrossing::Kind::kEvent, found.s};
+    return {GuardCrossing::Kind::kEvent, FirstBelow(step, slope, guard, found.s, noise)};
   }
   // The guard must rise above zero first.
   const double closing = FirstClosing(cubic, h, /*ignore_start=*/true);
@@ -360,7 +360,7 @@ EventSearch::Found EventSearch::Find(const FlowStep& step, const double* slope, 
     if (closing == kNever || closing <= 0) return {};
     const double s = closing + 0.5 * (h - closing);
     double above = 0;
-    if (After(step, slope, guard, s).value > 0 || !FindAbove(step, slope, guard, closing, &above)) return {};
+    if (GuardAfter(step, slope, guard, s).value > 0 || !FindAbove(step, slope, guard, closing, &above)) return {};
     return Locate(step, slope, guard, above, s, closing, curvature);
   }
   if (begin.rate < 0 && begin.value < 0) return {};
@@ -370,14 +370,14 @@ EventSearch::Found EventSearch::Find(const FlowStep& step, const double* slope, 
     return Locate(step, slope, guard, above, h, closing, /*curvature=*/-1);
   }
   // The guard rises by less than rounding.
-  if (closes && begin.rate > 0 && step.t + closing > step.t && After(step, slope, guard, closing).rate < 0) {
-    return {Found::What::kEvent, closing};
+  if (closes && begin.rate > 0 && step.t + closing > step.t && GuardAfter(step, slope, guard, closing).rate < 0) {
+    return {GuardCrossing::Kind::kEvent, closing};
   }
   // The guard does not reach zero, as it began below by rounding.
-  if (!(begin.rate > 0) || !(end.value < 0) || !functions_.WaitsBehind(step.mode, guard)) return {};
+  if (!(begin.rate > 0) || !(end.value < 0) || !functions_.RearmsAboveZero(step.mode, guard)) return {};
   const double noise = 2 * std::abs(begin.value) + kGrazes * (Scale(step, guard) + std::abs(curvature) * h * h);
   if (!(end.value < -noise)) return {};
-  return {Found::What::kEvent, FirstBelow(step, slope, guard, 0, noise)};
+  return {GuardCrossing::Kind::kEvent, FirstBelow(step, slope, guard, 0, noise)};
 }
 
 }  // namespace saltus

@@ -23,14 +23,14 @@ class EventSearch {
   explicit EventSearch(const HybridFunctions& functions);
 
   // At the beginning of a step, whose slope is given.
-  GuardValue At(const FlowStep& step, const double* slope, int guard) const;
+  GuardValue GuardAt(const FlowStep& step, const double* slope, int guard) const;
 
   // How a guard, which is `now`, stands on entry into a mode at step.t, step.x; kSinking: at zero with a rate of zero,
   // from where it falls. The length of the step is one over which guards of interest change, and `elapsed` is the time
   // over which the motion has come there. Enter, before, finds the derivatives of all guards there.
-  enum class Standing { kArmed, kRising, kFalling, kSinking, kBehind };
-  void Enter(const FlowStep& step);
-  Standing Classify(const FlowStep& step, const double* slope, int guard, const GuardValue& now, double elapsed);
+  enum class GuardStatus { kArmed, kRising, kFalling, kSinking, kBehind };
+  void EnterMode(const FlowStep& step);
+  GuardStatus Classify(const FlowStep& step, const double* slope, int guard, const GuardValue& now, double elapsed);
 
   // The errors that the value of a guard with the rate `rate` may have: by rounding alone, and with the error of an
   // integration over the time `elapsed`. Neither depends on the duration of the motion.
@@ -39,14 +39,14 @@ class EventSearch {
   };
   Window WindowOf(const FlowStep& step, int guard, double rate, double elapsed);
 
-  struct Found {
-    enum class What { kNothing, kEvent, kGrazing } what = What::kNothing;
+  struct GuardCrossing {
+    enum class Kind { kNothing, kEvent, kGrazing } kind = Kind::kNothing;
     double s = 0;  // since the beginning of the step
   };
   // The first event of a guard in a step, given where the guard stands at its ends. One that is not armed must rise
   // above zero before.
-  Found Find(const FlowStep& step, const double* slope, int guard, bool armed, const GuardValue& begin,
-             const GuardValue& end);
+  GuardCrossing Find(const FlowStep& step, const double* slope, int guard, bool armed, const GuardValue& begin,
+                     const GuardValue& end);
   // Whether a guard that rises at the beginning of a step and is above zero at its end is looked at in between as well:
   // it may have a kink, as the gap of a corner that moves on to another edge, and return before.
   bool MayReturn(const FlowStep& step, int guard, const GuardValue& begin, const GuardValue& end) const;
@@ -57,7 +57,7 @@ class EventSearch {
 
   RungeKutta& integrator() { return integrator_; }
 
-  GuardValue After(const FlowStep& step, const double* slope, int guard, double s);
+  GuardValue GuardAfter(const FlowStep& step, const double* slope, int guard, double s);
   bool StaysAtZero(const FlowStep& step, const double* slope, int guard, const GuardValue& begin, const GuardValue& end,
                    double s);
   // The point there.
@@ -65,8 +65,8 @@ class EventSearch {
 
   // Where in a step a guard that is at zero, and neither armed nor behind, falls below zero without rising before;
   // kNothing if it does not.
-  Found FindSinking(const FlowStep& step, const double* slope, int guard, const GuardValue& begin,
-                    const GuardValue& end, double elapsed);
+  GuardCrossing FindSinking(const FlowStep& step, const double* slope, int guard, const GuardValue& begin,
+                            const GuardValue& end, double elapsed);
 
   // Removes the derivatives kept, before a motion with other controls or parameters.
   void Forget() { kept_.clear(); }
@@ -79,10 +79,10 @@ class EventSearch {
   // The error of a guard's value, relative to the terms that states contribute, and to those of which time, parameters
   // and controls are known to rounding.
   double ErrorBy(const FlowStep& step, Terms terms, double rate, double elapsed, double of_states) const;
-  Found Locate(const FlowStep& step, const double* slope, int guard, double above, double below, double guess,
-               double curvature);
-  Found FindBelowKink(const FlowStep& step, const double* slope, int guard, const GuardValue& begin,
-                      const GuardValue& end);
+  GuardCrossing Locate(const FlowStep& step, const double* slope, int guard, double above, double below, double guess,
+                       double curvature);
+  GuardCrossing FindBelowKink(const FlowStep& step, const double* slope, int guard, const GuardValue& begin,
+                              const GuardValue& end);
   double FirstBelow(const FlowStep& step, const double* slope, int guard, double above, double noise);
   bool FindAbove(const FlowStep& step, const double* slope, int guard, double before, double* above);
 

@@ -16,7 +16,7 @@ struct FreeVariable {
   // Returns the variable's number in an input, a gradient or a motion. Precondition: `of` has a duration if this is
   // one.
   template <typename Numbers>
-  auto& In(Numbers& of) const {
+  auto& Access(Numbers& of) const {
     if constexpr (requires { of.duration; }) {
       if (kind == Kind::kDuration) return of.duration;
     }

@@ -45,7 +45,7 @@ class GreatestValuesOfTerm final : public ceres::CostFunction {
     if (!greatest.Find(step, residuals, jacobians != nullptr ? &by : nullptr)) return false;
     if (jacobians == nullptr) return true;
     double** jacobian = jacobians;
-    ForBlocks([&](int first, int size) {
+    ForEachBlock([&](int first, int size) {
       if (*jacobian != nullptr) Eigen::Map<Matrix>(*jacobian, by.rows(), size) = by.middleCols(first, size);
       ++jacobian;
     });
@@ -55,7 +55,7 @@ class GreatestValuesOfTerm final : public ceres::CostFunction {
  private:
   // Calls visit(first, size) with the columns in [x t p u h] of each parameter block.
   template <typename Visitor>
-  void ForBlocks(const Visitor& visit) const {
+  void ForEachBlock(const Visitor& visit) const {
     const int n = parameter_block_sizes()[0], m = system_.num_controls(), P = system_.num_parameters();
     visit(0, n);
     if (m > 0) visit(n + 1 + P, m);
@@ -75,7 +75,7 @@ class GreatestValuesOfTerm final : public ceres::CostFunction {
     for (Matrix& of_block : of_blocks) jacobians.push_back(of_block.data());
     if (!function_->Evaluate(blocks.data(), values, jacobians.data())) return false;
     auto of_block = of_blocks.begin();
-    ForBlocks([&](int first, int size) { by->middleCols(first, size) = *of_block++; });
+    ForEachBlock([&](int first, int size) { by->middleCols(first, size) = *of_block++; });
     return true;
   }
 

@@ -48,7 +48,7 @@ class Search {
       const TapeEntry& entry = tape_.entries[i];
       if (entry.kind == TapeEntry::Kind::kReset || !(entry.h > 0)) continue;
       if (!all_ && !(functions_.HasBounds() && functions_.MayHideChanges(entry.mode))) continue;
-      LookInto(entry, i + 1 < tape_.entries.size() ? tape_.entries[i + 1].x : tape_.final_state);
+      SearchHiddenChange(entry, i + 1 < tape_.entries.size() ? tape_.entries[i + 1].x : tape_.final_state);
     }
     std::ranges::sort(found_.ends);
     return std::move(found_);
@@ -61,7 +61,7 @@ class Search {
     return {{entry.mode, entry.t, &tape_.numbers[entry.x], u, input_.parameters.data()}, 0};
   }
 
-  void LookInto(const TapeEntry& entry, std::size_t end) {
+  void SearchHiddenChange(const TapeEntry& entry, std::size_t end) {
     const int n = system_.state_size(entry.mode), num_guards = system_.num_guards(entry.mode);
     const FlowStep step = StepOf(entry);
     parts_.assign(1, {0, entry.h, {step.x, step.x + n}, {&tape_.numbers[end], &tape_.numbers[end] + n}, {}, {}});

@@ -17,7 +17,7 @@ namespace saltus {
 namespace {
 
 // The residual sqrt(weight) (x_i - target), of a state of a size that is known as the program runs.
-struct Miss {
+struct ComponentResidual {
   int component;
   double target, root;
 
@@ -30,8 +30,9 @@ struct Miss {
 
 std::string Number(int number) { return std::to_string(number); }
 
-HybridTerm TermOfMiss(const std::string& name, const Miss& miss, int state_size, int mode) {
-  auto function = std::make_shared<ceres::DynamicAutoDiffCostFunction<Miss, 4>>(new Miss(miss));
+HybridTerm MakeComponentTerm(const std::string& name, const ComponentResidual& miss, int state_size, int mode) {
+  auto function =
+      std::make_shared<ceres::DynamicAutoDiffCostFunction<ComponentResidual, 4>>(new ComponentResidual(miss));
   function->AddParameterBlock(state_size);
   function->SetNumResiduals(1);
   return {.name = name + " of component " + Number(miss.component),
@@ -67,7 +68,7 @@ class Effort final : public ceres::CostFunction {
   std::vector<int> components_;
 };
 
-struct Price {
+struct DurationResidual {
   double weight;
 
   template <typename T>
@@ -91,10 +92,10 @@ std::vector<int> BlocksOf(const HybridTerm& term, const HybridProblem& problem, 
   return sizes;
 }
 
-std::string WhatIsWrongWith(const HybridTerm& term, const HybridProblem& problem) {
+std::string Validate(const HybridTerm& term, const HybridProblem& problem) {
   const HybridSystem& system = problem.system;
   if (term.function == nullptr) return "found no function";
-  const bool of_events = term.at == HybridTerm::At::kEvent;
+  const bool of_events = term.at == HybridTerm::Timing::kEvent;
   if (term.mode < -1 || term.mode >= system.num_modes()) {
     return "found mode " + Number(term.mode) + ", expected -1 to " + Number(system.num_modes() - 1);
   }
@@ -108,20 +109,20 @@ std::string WhatIsWrongWith(const HybridTerm& term, const HybridProblem& problem
              (names.empty() ? "none, as there are no guards" : "some of " + Joined({names.begin(), names.end()}));
     }
   }
-  if (term.at != HybridTerm::At::kEachInterval && (term.with_control || term.with_length)) {
+  if (term.at != HybridTerm::Timing::kEachInterval && (term.with_control || term.with_length)) {
     return "only a term of each interval reads a control or a length";
   }
-  if (term.at != HybridTerm::At::kEnd && term.with_initial) return "only a term at the end reads the initial state";
+  if (term.at != HybridTerm::Timing::kEnd && term.with_initial) return "only a term at the end reads the initial state";
   const bool of_one = term.interval != -1;
-  if (of_one &&
-      (term.at != HybridTerm::At::kEachInterval || term.interval < 0 || term.interval >= problem.guess.num_intervals)) {
+  if (of_one && (term.at != HybridTerm::Timing::kEachInterval || term.interval < 0 ||
+                 term.interval >= problem.guess.num_intervals)) {
     return "found interval " + Number(term.interval) + ", expected 0 to " + Number(problem.guess.num_intervals - 1) +
            " of a term of intervals";
   }
   if (term.always) {
     const bool reads_all = term.with_state && term.with_control == (system.num_controls() > 0) &&
                            term.with_parameters == (system.num_parameters() > 0) && term.with_time && term.with_length;
-    if (term.at != HybridTerm::At::kEachInterval || term.role != HybridTerm::Role::kInequality || !reads_all) {
+    if (term.at != HybridTerm::Timing::kEachInterval || term.role != HybridTerm::Role::kInequality || !reads_all) {
       return "found a term that holds at all times, expected an inequality of each interval that reads the state, the "
              "control and the parameters if the system has any, the time and the length";
     }
@@ -137,8 +138,8 @@ std::string WhatIsWrongWith(const HybridTerm& term, const HybridProblem& problem
   return "found a function of blocks of sizes" + have + ", expected" + expected;
 }
 
-std::string WhatIsWrongWithBounds(const std::vector<double>& min, const std::vector<double>& max, std::size_t count,
-                                  const char* of) {
+std::string ValidateBounds(const std::vector<double>& min, const std::vector<double>& max, std::size_t count,
+                           const char* of) {
   for (const std::vector<double>* bounds : {&min, &max}) {
     if (bounds->empty() || bounds->size() == count) continue;
     return "found " + std::to_string(bounds->size()) + " bounds of the " + of + ", expected " + std::to_string(count);
@@ -155,7 +156,7 @@ std::string WhatIsWrongWithBounds(const std::vector<double>& min, const std::vec
   return "";
 }
 
-std::string WhatIsWrongWithIndices(const std::vector<int>& indices, std::size_t count, const char* of) {
+std::string ValidateIndices(const std::vector<int>& indices, std::size_t count, const char* of) {
   for (std::size_t i = 0; i < indices.size(); ++i) {
     if (indices[i] < 0 || indices[i] >= static_cast<int>(count)) {
       return "found number " + Number(indices[i]) + " of the " + of + ", expected 0 to " +
@@ -168,7 +169,7 @@ std::string WhatIsWrongWithIndices(const std::vector<int>& indices, std::size_t 
   return "";
 }
 
-std::string WhatIsWrongWithStates(const HybridProblem& problem) {
+std::string ValidateGuessStates(const HybridProblem& problem) {
   const std::size_t size = problem.guess.initial.size(), found = problem.guess_states.size();
   if (found == 0) return "";
   if (found % size != 0 || found < 2 * size) {
@@ -195,18 +196,18 @@ bool HybridTerm::CountsAt(const HybridFunctions& functions, int of_mode, int gua
 }
 
 HybridTerm MakeTerminalCost(int component, double target, double weight, int state_size, int mode) {
-  return TermOfMiss("terminal cost", {component, target, std::sqrt(weight)}, state_size, mode);
+  return MakeComponentTerm("terminal cost", {component, target, std::sqrt(weight)}, state_size, mode);
 }
 
 HybridTerm MakeTerminalBound(int component, double bound, bool lower, int state_size, int mode) {
-  HybridTerm term = TermOfMiss("terminal bound", {component, bound, lower ? -1.0 : 1.0}, state_size, mode);
+  HybridTerm term = MakeComponentTerm("terminal bound", {component, bound, lower ? -1.0 : 1.0}, state_size, mode);
   term.role = HybridTerm::Role::kInequality;
   return term;
 }
 
 HybridTerm MakeEffortCost(double weight, int num_controls, std::vector<int> components) {
   HybridTerm term{.name = "effort",
-                  .at = HybridTerm::At::kEachInterval,
+                  .at = HybridTerm::Timing::kEachInterval,
                   .with_control = true,
                   .with_length = true,
                   .reads_controls = components};
@@ -219,9 +220,10 @@ HybridTerm MakeEffortCost(double weight, int num_controls, std::vector<int> comp
 }
 
 HybridTerm MakeDurationCost(double weight) {
-  return {.name = "final time",
-          .with_time = true,
-          .function = std::make_shared<ceres::AutoDiffCostFunction<Price, 1, 1>>(new Price{weight})};
+  return {
+      .name = "final time",
+      .with_time = true,
+      .function = std::make_shared<ceres::AutoDiffCostFunction<DurationResidual, 1, 1>>(new DurationResidual{weight})};
 }
 
 std::vector<FreeVariable> FreeVariables(const HybridFree& free, int num_controls, int num_intervals) {
@@ -247,26 +249,25 @@ std::vector<FreeVariable> FreeVariables(const HybridFree& free, int num_controls
   return variables;
 }
 
-std::string WhatIsWrongWith(const HybridProblem& problem) {
+std::string Validate(const HybridProblem& problem) {
   const HybridSystem& system = problem.system;
   const HybridFree& free = problem.free;
-  if (std::string wrong = WhatIsWrongWith(problem.guess, system); !wrong.empty()) return wrong;
+  if (std::string wrong = Validate(problem.guess, system); !wrong.empty()) return wrong;
   if (problem.guess.begin != 0) return "found a motion that begins at another time than 0, expected 0";
   for (const HybridTerm& term : problem.terms) {
-    if (std::string wrong = WhatIsWrongWith(term, problem); !wrong.empty()) return term.name + ": " + wrong;
+    if (std::string wrong = Validate(term, problem); !wrong.empty()) return term.name + ": " + wrong;
   }
   if (free.control && system.num_controls() == 0) return "the system has no control to optimise";
   for (const std::string& wrong :
-       {WhatIsWrongWithIndices(free.initial, problem.guess.initial.size(), "initial state"),
-        WhatIsWrongWithIndices(free.parameters, system.num_parameters(), "parameters"),
-        WhatIsWrongWithBounds(free.control_min, free.control_max, system.num_controls(), "control"),
-        WhatIsWrongWithBounds(free.initial_min, free.initial_max, free.initial.size(), "initial state"),
-        WhatIsWrongWithBounds(free.parameters_min, free.parameters_max, free.parameters.size(), "parameters")}) {
+       {ValidateIndices(free.initial, problem.guess.initial.size(), "initial state"),
+        ValidateIndices(free.parameters, system.num_parameters(), "parameters"),
+        ValidateBounds(free.control_min, free.control_max, system.num_controls(), "control"),
+        ValidateBounds(free.initial_min, free.initial_max, free.initial.size(), "initial state"),
+        ValidateBounds(free.parameters_min, free.parameters_max, free.parameters.size(), "parameters")}) {
     if (!wrong.empty()) return wrong;
   }
   if (free.duration) {
-    if (std::string wrong = WhatIsWrongWithBounds({free.duration_min}, {free.duration_max}, 1, "duration");
-        !wrong.empty())
+    if (std::string wrong = ValidateBounds({free.duration_min}, {free.duration_max}, 1, "duration"); !wrong.empty())
       return wrong;
     if (free.duration_min < 0 || free.duration_max <= 0) {
       return "found the bounds " + ToText(free.duration_min, 6) + " and " + ToText(free.duration_max, 6) +
@@ -274,7 +275,7 @@ std::string WhatIsWrongWith(const HybridProblem& problem) {
              "positive";
     }
   }
-  return WhatIsWrongWithStates(problem);
+  return ValidateGuessStates(problem);
 }
 
 }  // namespace saltus

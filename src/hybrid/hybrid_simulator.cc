@@ -76,7 +76,7 @@ class HybridSimulator::Impl {
   Impl(HybridSystem of_user, const HybridOptions& chosen)
       : system(std::move(of_user)),
         options(chosen),
-        given(chosen.divided),
+        given(chosen.divisions),
         steps(std::max(chosen.steps_per_interval, 0)),
         run(std::make_unique<RolloutRun>(system, options)),
         derivatives(system) {}
@@ -127,7 +127,8 @@ class HybridSimulator::Impl {
   // Returns the error of steps that events cut, by two halves of each: a motion with twice as many steps may take the
   // same ones. Returns that of the steps alone if the motion has no finite derivative after them.
   double ErrorOfCutSteps(const RolloutRun& of, double rounding = kRounding) {
-    const MotionDerivatives::Change change = derivatives.ByHalvesOfCutSteps(input, of.tape(), of.events().size());
+    const MotionDerivatives::Change change =
+        derivatives.CompareWithHalvedCutSteps(input, of.tape(), of.events().size());
     double largest = RelativeChange(of.tape(), rounding, [&](int i) { return std::abs(change.final_state[i]); });
     for (const double time : change.times) largest = std::max(largest, std::abs(time) / input.duration);
     const bool finite = change.final_state.allFinite() && AllFinite(change.times);
@@ -171,7 +172,7 @@ class HybridSimulator::Impl {
     if (unresolved.empty()) unresolved = changes.what;
   }
 
-  RolloutSteps Steps(int per_interval) const { return {per_interval, options.divided}; }
+  RolloutSteps Steps(int per_interval) const { return {per_interval, options.divisions}; }
   HiddenChanges FindHidden(const RolloutRun& of, Changes which = Changes::kHidden) const {
     return FindHiddenChanges(system, input, of.tape(), options.tolerance, which);
   }
@@ -179,12 +180,12 @@ class HybridSimulator::Impl {
   // Divides control intervals at the ends of parts of steps with changes. Returns whether they were not so yet.
   bool Divide(const HiddenChanges& changes) {
     const auto is_near = [](double a, double b) { return b - a <= kSamePart; };
-    std::vector<double> divided;
-    std::ranges::merge(options.divided, changes.ends, std::back_inserter(divided));
-    const auto repeated = std::ranges::unique(divided, is_near);
-    divided.erase(repeated.begin(), repeated.end());
-    if (divided.size() > kMostDivided || divided.size() == options.divided.size()) return false;
-    options.divided = std::move(divided);
+    std::vector<double> divisions;
+    std::ranges::merge(options.divisions, changes.ends, std::back_inserter(divisions));
+    const auto repeated = std::ranges::unique(divisions, is_near);
+    divisions.erase(repeated.begin(), repeated.end());
+    if (divisions.size() > kMostDivided || divisions.size() == options.divisions.size()) return false;
+    options.divisions = std::move(divisions);
     return true;
   }
 
@@ -214,8 +215,8 @@ class HybridSimulator::Impl {
   // Says why the tolerance is out of reach: errors of the last doublings fall like a low power of the step, as they do
   // where the flow is not smooth. Empty if they do not. `errors`: of each number of steps up to `num_steps`, infinite
   // where the motions have other events.
-  std::string WhySlow(const std::vector<double>& errors, double num_steps, const RolloutRun& coarse,
-                      const RolloutRun& fine) const {
+  std::string ReasonSlowConvergence(const std::vector<double>& errors, double num_steps, const RolloutRun& coarse,
+                                    const RolloutRun& fine) const {
     if (num_steps < kMostWithoutEnd || errors.size() <= kSlowDoublings) return "";
     const double now = errors.back(), before = errors[errors.size() - 1 - kSlowDoublings];
     for (auto next = errors.end() - kSlowDoublings; next != errors.end(); ++next) {
@@ -321,7 +322,7 @@ class HybridSimulator::Impl {
   }
 
   // Returns the number of control intervals, or parts of them, each of which has so many steps.
-  std::size_t num_parts() const { return input.num_intervals + options.divided.size(); }
+  std::size_t num_parts() const { return input.num_intervals + options.divisions.size(); }
   int FewestSteps() const { return (kFewestSteps + input.num_intervals - 1) / input.num_intervals; }
 
   // Divides control intervals where few steps do not resolve the flow or the guards, if these are longer than the
@@ -380,7 +381,7 @@ class HybridSimulator::Impl {
       }
       if (2 * count > kMostSteps) {
         if (end == RolloutEnd::kDone) {
-          if (finer) why = WhySlow(errors, count, *finer, *run);
+          if (finer) why = ReasonSlowConvergence(errors, count, *finer, *run);
           if (why.empty()) {
             why = "an explicit method needs more than " + std::to_string(kMostSteps) +
                   " steps to integrate the flow to the tolerance; the system may be stiff" + kOfStiff;
@@ -437,7 +438,7 @@ class HybridSimulator::Impl {
           const bool is_resolvable = hidden.length * kMostForGuards > input.duration;
           if (!is_resolvable && (of_cut_steps <= std::max(least, options.tolerance) || count >= kMostWithoutEnd)) {
             // Derivatives by what moves a narrow change have its error, divided by the width.
-            const bool is_narrow = n == steps && options.divided != given;
+            const bool is_narrow = n == steps && options.divisions != given;
             const std::string guard = finer->unresolved().what;
             if (is_narrow) steps *= 2;
             Accept(std::move(is_narrow ? finer : best), std::max(least, of_cut_steps), guard);
@@ -465,7 +466,7 @@ class HybridSimulator::Impl {
           return Accept(std::move(run), scatter, finer->unresolved().what);
         }
         errors.push_back(same_events ? now : std::numeric_limits<double>::infinity());
-        if (why.empty()) why = WhySlow(errors, 2 * count, coarse, *finer);
+        if (why.empty()) why = ReasonSlowConvergence(errors, 2 * count, coarse, *finer);
         if (stalls >= kHopeless && count >= kMostWithoutEnd) why = why_hopeless();
         if (!why.empty()) {
           if (!run) run = std::move(best);
@@ -573,7 +574,7 @@ class HybridSimulator::Impl {
   // Keeps why derivatives are not finite; returns them.
   template <typename Derivatives>
   Derivatives Checked(Derivatives found, bool finite) {
-    why_not_finite = finite ? "" : derivatives.WhyNotFinite(input, run->tape());
+    why_not_finite = finite ? "" : derivatives.ReasonNotFinite(input, run->tape());
     return found;
   }
 
@@ -606,7 +607,7 @@ const HybridSystem& HybridSimulator::system() const { return impl_->system; }
 bool HybridSimulator::Rollout(const HybridInput& input) {
   Impl& at = *impl_;
   at.done = false;
-  if (at.why = WhatIsWrongWith(input, at.system); !at.why.empty()) return false;
+  if (at.why = Validate(input, at.system); !at.why.empty()) return false;
   if (at.steps > kMostGivenSteps / input.num_intervals) {
     at.why = "found " + std::to_string(at.steps) + " integration steps in each of " +
              std::to_string(input.num_intervals) + " control intervals, expected at most " +
@@ -635,11 +636,11 @@ bool HybridSimulator::RolloutAccurately(const HybridInput& input) {
   const bool keeps = impl_->steps > 0 && impl_->options.steps_per_interval <= 0;
   if (!keeps) return Rollout(input);
   if (Rollout(input) && impl_->KeepsAccuracy()) return true;
-  ChooseStepsAnew();
+  ResetStepChoice();
   return Rollout(input);
 }
 
-const std::string& HybridSimulator::WhyFailed() const { return impl_->why; }
+const std::string& HybridSimulator::FailureReason() const { return impl_->why; }
 std::optional<double> HybridSimulator::accumulation() const { return impl_->run->accumulation(); }
 int HybridSimulator::final_mode() const { return impl_->run->tape().final_mode; }
 
@@ -679,11 +680,11 @@ bool HybridSimulator::IsReset(int step) const {
   return impl_->run->tape().entries[step].kind == TapeEntry::Kind::kReset;
 }
 
-std::string HybridSimulator::WhyNotDifferentiable() const {
+std::string HybridSimulator::ReasonNotDifferentiable() const {
   const RolloutRun& run = *impl_->run;
   const HybridSystem& system = impl_->system;
   std::vector<TimedRemark> remarks;
-  for (const RolloutRun::AtStart& start : run.at_start()) {
+  for (const RolloutRun::StartDependence& start : run.at_start()) {
     std::vector<std::string> names;
     const auto add = [&](const std::vector<char>& depends, const auto& name_of) {
       for (std::size_t i = 0; i < depends.size(); ++i) {
@@ -724,21 +725,21 @@ std::string HybridSimulator::WhyNotDifferentiable() const {
   return JoinRemarks(remarks);
 }
 
-const std::string& HybridSimulator::WhyNotFinite() const { return impl_->why_not_finite; }
+const std::string& HybridSimulator::ReasonNotFinite() const { return impl_->why_not_finite; }
 
 int HybridSimulator::steps_per_interval() const { return impl_->steps; }
-const std::vector<double>& HybridSimulator::divided() const { return impl_->options.divided; }
+const std::vector<double>& HybridSimulator::divisions() const { return impl_->options.divisions; }
 HybridOptions HybridSimulator::StepsBetween(double begin, double end) const {
   HybridOptions steps{.steps_per_interval = std::max(impl_->steps, 1)};
-  for (const double part : impl_->options.divided) {
+  for (const double part : impl_->options.divisions) {
     const double time = impl_->input.begin + part * impl_->input.duration;
-    if (time > begin && time < end) steps.divided.push_back((time - begin) / (end - begin));
+    if (time > begin && time < end) steps.divisions.push_back((time - begin) / (end - begin));
   }
   return steps;
 }
-void HybridSimulator::ChooseStepsAnew() {
+void HybridSimulator::ResetStepChoice() {
   impl_->steps = std::max(impl_->options.steps_per_interval, 0);
-  impl_->options.divided = impl_->given;
+  impl_->options.divisions = impl_->given;
 }
 
 double HybridSimulator::IntegrationError() {
@@ -746,7 +747,7 @@ double HybridSimulator::IntegrationError() {
   return impl_->Error();
 }
 
-std::string HybridSimulator::WhyInaccurate() {
+std::string HybridSimulator::ReasonInaccurate() {
   const double error = IntegrationError();
   std::string why = impl_->unresolved;
   if (error <= impl_->options.tolerance) return why;
@@ -797,7 +798,7 @@ std::vector<double> HybridInput::Times() const {
   return times;
 }
 
-std::string WhatIsWrongWith(const HybridInput& input, const HybridSystem& system) {
+std::string Validate(const HybridInput& input, const HybridSystem& system) {
   const auto found = [](const char* what, std::size_t count, std::size_t expected) {
     return std::string("found ") + std::to_string(count) + " numbers of the " + what + ", expected " +
            std::to_string(expected);

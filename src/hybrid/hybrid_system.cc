@@ -14,7 +14,7 @@ std::string Indexed(const char* name, int component) {
   return std::string(name) + "[" + std::to_string(component) + "]";
 }
 
-int Before(const std::vector<int>& numbers, int mode) {
+int OffsetOfMode(const std::vector<int>& numbers, int mode) {
   return std::accumulate(numbers.begin(), numbers.begin() + mode, 0);
 }
 
@@ -25,11 +25,12 @@ std::string HybridFunctions::ModeName(int mode) const {
 }
 
 std::string HybridFunctions::GuardName(int mode, int guard) const {
-  return NameOr(layout().guard_names, Before(layout().num_guards, mode) + guard, "guard " + std::to_string(guard));
+  return NameOr(
+      layout().guard_names, OffsetOfMode(layout().num_guards, mode) + guard, "guard " + std::to_string(guard));
 }
 
 std::string HybridFunctions::StateName(int mode, int component) const {
-  return NameOr(layout().state_names, Before(layout().state_sizes, mode) + component, Indexed("x", component));
+  return NameOr(layout().state_names, OffsetOfMode(layout().state_sizes, mode) + component, Indexed("x", component));
 }
 
 std::vector<StatePart> HybridFunctions::Parts(int mode) const {

@@ -78,7 +78,7 @@ HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const Motion
         const TapeEntry& at = tape.entries[i + 1];
         f.GuardGradient({entry.mode, at.t, &tape.numbers[at.x], step.u, step.p}, entry.guard, guard_.data());
         integrator_.Linearize(step);
-        integrator_.ByLength(by_length_.data());
+        integrator_.LengthDerivative(by_length_.data());
         double along = t, rate = guard_[n];
         for (int j = 0; j < n; ++j) {
           along += x[j] * by_length_[j];
@@ -136,7 +136,7 @@ void MotionDerivatives::PushForward(const HybridInput& input, const MotionTape& 
   const TapeEntry& reset = (&entry)[1];
   f.GuardGradient({entry.mode, reset.t, &tape.numbers[reset.x], step.u, step.p}, entry.guard, guard_.data());
   const Eigen::Map<const Eigen::RowVectorXd> guard(guard_.data(), n + 1 + num_parameters + num_controls);
-  integrator_.ByLength(by_length_.data());
+  integrator_.LengthDerivative(by_length_.data());
   const Eigen::Map<const Eigen::VectorXd> by_length(by_length_.data(), n);
   at->h = Eigen::RowVectorXd::Zero(columns);
   const Matrix fixed = integrator_.PushForward(*at);  // for a fixed length
@@ -182,7 +182,7 @@ HybridSensitivity MotionDerivatives::Sensitivity(const HybridInput& input, const
 }
 
 // The state after two halves of a step, less that after the whole; zero where it is rounding. Raises *relative to it.
-Eigen::VectorXd MotionDerivatives::ByHalves(const FlowStep& step, const double* after, double* relative) {
+Eigen::VectorXd MotionDerivatives::CompareWithHalfSteps(const FlowStep& step, const double* after, double* relative) {
   constexpr double kRounding = 4e-15;  // of the largest of both states
   using Vector = Eigen::VectorXd;
   const int n = system_.state_size(step.mode);
@@ -208,8 +208,8 @@ Eigen::VectorXd MotionDerivatives::ByHalves(const FlowStep& step, const double* 
 }
 
 // The change of the state is carried on by differences: a step costs another step, where its Jacobian costs several.
-MotionDerivatives::Change MotionDerivatives::ByHalvesOfCutSteps(const HybridInput& input, const MotionTape& tape,
-                                                                std::size_t num_events) {
+MotionDerivatives::Change MotionDerivatives::CompareWithHalvedCutSteps(const HybridInput& input, const MotionTape& tape,
+                                                                       std::size_t num_events) {
   constexpr double kPart = 1e-7;  // of the size of the state: a change of it by which differences are taken
   using Vector = Eigen::VectorXd;
   const HybridFunctions& f = system_.functions();
@@ -238,7 +238,7 @@ MotionDerivatives::Change MotionDerivatives::ByHalvesOfCutSteps(const HybridInpu
     }
     Vector change = Vector::Zero(n);
     if (entry.h > 0 && (begins || entry.kind == TapeEntry::Kind::kToEvent))
-      change = ByHalves(step, after, &out.of_steps);
+      change = CompareWithHalfSteps(step, after, &out.of_steps);
     const bool ends = entry.kind == TapeEntry::Kind::kToEvent;
     if (changes) {
       const Eigen::Map<const Vector> before(step.x, n), whole(after, n);
@@ -410,7 +410,7 @@ std::string MotionDerivatives::VariableName(int mode, int column) const {
   return column < num_parameters ? system_.ParameterName(column) : system_.ControlName(column - num_parameters);
 }
 
-std::string MotionDerivatives::WhyNotFinite(const HybridInput& input, const MotionTape& tape) {
+std::string MotionDerivatives::ReasonNotFinite(const HybridInput& input, const MotionTape& tape) {
   const HybridFunctions& f = system_.functions();
   const auto at = [&](int mode, double t) {
     return " in mode '" + system_.ModeName(mode) + "' at t = " + ToText(t, 10) + " has no finite derivative ";
@@ -449,7 +449,7 @@ std::string MotionDerivatives::WhyNotFinite(const HybridInput& input, const Moti
     f.GuardGradient({event.mode, event.t, &tape.numbers[event.x], step.u, step.p}, entry.guard, guard_.data());
     const int place = not_finite(guard_, columns + system_.num_controls(), columns + system_.num_controls());
     if (place >= 0) return "the guard" + guard() + at(entry.mode, event.t) + "by " + VariableName(entry.mode, place);
-    integrator_.ByLength(by_length_.data());
+    integrator_.LengthDerivative(by_length_.data());
     double rate = guard_[n];
     for (int j = 0; j < n; ++j) rate += guard_[j] * by_length_[j];
     if (rate == 0) {

@@ -45,16 +45,16 @@ class MotionDerivatives {
     std::vector<double> times;
     double of_steps = 0;  // the largest change by a step alone, relative to the largest of its state
   };
-  Change ByHalvesOfCutSteps(const HybridInput& input, const MotionTape& tape, std::size_t num_events);
+  Change CompareWithHalvedCutSteps(const HybridInput& input, const MotionTape& tape, std::size_t num_events);
 
   // Says which derivative of the system's functions along the motion is the first that is not finite, with function,
   // mode, time and variables; or that derivatives overflow, if all are finite.
-  std::string WhyNotFinite(const HybridInput& input, const MotionTape& tape);
+  std::string ReasonNotFinite(const HybridInput& input, const MotionTape& tape);
 
  private:
   void PushForward(const HybridInput& input, const MotionTape& tape, const TapeEntry& entry,
                    const Eigen::RowVectorXd& of_duration, RungeKutta::Tangent* at);
-  Eigen::VectorXd ByHalves(const FlowStep& step, const double* after, double* relative);
+  Eigen::VectorXd CompareWithHalfSteps(const FlowStep& step, const double* after, double* relative);
   bool IsOneSided(const HybridInput& input, const MotionTape& tape, const Coincidence& coincidence,
                   const RungeKutta::Tangent& before, const RungeKutta::Tangent& after, const Eigen::MatrixXd& controls,
                   const Eigen::RowVectorXd& of_duration, TiedEvents* tied);

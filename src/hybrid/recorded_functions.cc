@@ -80,7 +80,7 @@ constexpr int kFewReads = 8;             // one input in so many at most: only t
 // Room for numbers, from the heap if they are many.
 class Memory {
  public:
-  double* Of(std::size_t size) {
+  double* Allocate(std::size_t size) {
     if (size <= kSmall) return small_;
     large_.resize(size);
     return large_.data();
@@ -161,7 +161,7 @@ bool FindOperation(std::string_view name, Operation* operation) {
 
 int NumOperands(Operation operation) { return kOperations[static_cast<int>(operation)].operands; }
 
-std::string WhatIsWrongWith(const ExpressionGraph& recording) {
+std::string Validate(const ExpressionGraph& recording) {
   const int count = static_cast<int>(recording.nodes.size());
   for (int i = 0; i < count; ++i) {
     const ExpressionGraph::Node& node = recording.nodes[i];
@@ -346,7 +346,7 @@ class RecordedFunction::Builder {
   }
   int Constant(double value) { return Add({Operation::kConstant, -1, -1, -1, value}); }
   bool IsConstant(int node) const { return node >= 0 && nodes_[node].operation == Operation::kConstant; }
-  bool Is(int node, double value) const { return IsConstant(node) && nodes_[node].value == value; }
+  bool EqualsConstant(int node, double value) const { return IsConstant(node) && nodes_[node].value == value; }
 
   int Make(Operation operation, int a, int b = -1, int c = -1) {
     if (operation == Operation::kWhere) {
@@ -363,25 +363,25 @@ class RecordedFunction::Builder {
     using enum Operation;
     switch (operation) {
       case kAdd:
-        if (Is(a, 0)) return b;
-        if (Is(b, 0)) return a;
+        if (EqualsConstant(a, 0)) return b;
+        if (EqualsConstant(b, 0)) return a;
         if (a > b) std::swap(a, b);
         break;
       case kSubtract:
-        if (Is(b, 0)) return a;
-        if (Is(a, 0)) return Make(kNegate, b);
+        if (EqualsConstant(b, 0)) return a;
+        if (EqualsConstant(a, 0)) return Make(kNegate, b);
         break;
       case kMultiply:
-        if (Is(a, 0) || Is(b, 0)) return Constant(0);
-        if (Is(a, 1)) return b;
-        if (Is(b, 1)) return a;
-        if (Is(a, -1)) return Make(kNegate, b);
-        if (Is(b, -1)) return Make(kNegate, a);
+        if (EqualsConstant(a, 0) || EqualsConstant(b, 0)) return Constant(0);
+        if (EqualsConstant(a, 1)) return b;
+        if (EqualsConstant(b, 1)) return a;
+        if (EqualsConstant(a, -1)) return Make(kNegate, b);
+        if (EqualsConstant(b, -1)) return Make(kNegate, a);
         if (a > b) std::swap(a, b);
         break;
       case kDivide:
-        if (Is(a, 0)) return a;
-        if (Is(b, 1)) return a;
+        if (EqualsConstant(a, 0)) return a;
+        if (EqualsConstant(b, 1)) return a;
         break;
       case kNegate:
         if (nodes_[a].operation == kNegate) return nodes_[a].a;
@@ -533,7 +533,7 @@ class RecordedFunction::Builder {
         }
       }
     }
-    std::erase_if(result, [&](const auto& entry) { return Is(entry.second, 0); });
+    std::erase_if(result, [&](const auto& entry) { return EqualsConstant(entry.second, 0); });
     return derivatives_[at] = std::move(result);
   }
 
@@ -599,7 +599,7 @@ RecordedFunction::RecordedFunction(const ExpressionGraph& recording)
     : recording_(recording),
       num_inputs_(recording.num_inputs),
       num_outputs_(static_cast<int>(recording.outputs.size())) {
-  CHECK_EQ(WhatIsWrongWith(recording), "");
+  CHECK_EQ(Validate(recording), "");
   Builder builder(recording);
   values_ = builder.Values();
   derivatives_ = builder.Derivatives();
@@ -609,7 +609,7 @@ RecordedFunction::RecordedFunction(const ExpressionGraph& recording)
 class RecordedFunction::Evaluation {
  public:
   Evaluation(const RecordedFunction& function, bool with_derivatives, std::span<const Part> inputs)
-      : tape_(with_derivatives ? function.derivatives_ : function.values_), slots_(memory_.Of(tape_.size)) {
+      : tape_(with_derivatives ? function.derivatives_ : function.values_), slots_(memory_.Allocate(tape_.size)) {
     double* next = slots_;
     if (!tape_.few_reads) {
       for (const Part& part : inputs) next = std::copy_n(part.data, part.size, next);
@@ -887,7 +887,7 @@ int RecordedSystem::PieceOf(int base, std::vector<int> sides) const {
   std::optional<ExpressionGraph> along;  // the flow, then the ends of the piece by the switches along which it slides
   const auto output_along = [&](int first, int count, std::vector<int>* used) {
     const int n = layout().state_sizes[base];
-    if (!along) along = FlowAlong(switches.Beside(sides), n, static_cast<int>(sliding));
+    if (!along) along = FlowAlong(switches.CornerFunctions(sides), n, static_cast<int>(sliding));
     ExpressionGraph graph = *along;
     graph.outputs.assign(along->outputs.begin() + first, along->outputs.begin() + first + count);
     used->resize(switches.count());
@@ -951,7 +951,7 @@ int RecordedSystem::PieceAt(const ModePoint& point) const {
   return switches_[base] == nullptr ? base : PieceOf(base, SidesAt({base, point.t, point.x, point.u, point.p}, {}));
 }
 
-int RecordedSystem::PieceBeside(const ModePoint& point, int guard, Side side) const {
+int RecordedSystem::AdjacentPiece(const ModePoint& point, int guard, Side side) const {
   const Evaluated& piece = at(point.mode);
   const End& end = piece.switches[guard - (num_guards(point.mode) - num_switches(point.mode))];
   if (side == Side::kSliding) return PieceAlong(point, guard);
@@ -993,7 +993,7 @@ int RecordedSystem::PieceAlong(const ModePoint& point, int guard) const {
   const int number = piece.switches[guard - (num_guards(point.mode) - num_switches(point.mode))].number;
   if (!slides_ || switches.IsFloor(number)) return -1;
   for (const Side side : {Side::kBelow, Side::kAbove}) {
-    const ModePoint beside{PieceBeside(point, guard, side), point.t, point.x, point.u, point.p};
+    const ModePoint beside{AdjacentPiece(point, guard, side), point.t, point.x, point.u, point.p};
     if (!PointsAt(beside, number)) return -1;
   }
   std::vector<int> sides = piece.sides;
@@ -1130,7 +1130,7 @@ bool RecordedSystem::PullBackStep(const FlowStep& step, const double* after, Ste
   RecordedFunction::Evaluation at(*mode.flow, /*with_derivatives=*/false, InputsAt(step));
   const RecordedFunction::Tape& tape = mode.flow->derivatives_;
   Memory memory;
-  double* slopes = memory.Of(kStages * (n + tape.size) + (kStages + 1) * n + columns);
+  double* slopes = memory.Allocate(kStages * (n + tape.size) + (kStages + 1) * n + columns);
   double *slots = slopes + kStages * n, *scratch = slots + kStages * tape.size;
   const auto flow = [&](double t, const auto& x, double* slope, double* of_stage) {
     at.Run(x, n, t, slope);
@@ -1153,7 +1153,7 @@ bool RecordedSystem::PullBackStep(const FlowStep& step, const double* after, Ste
       of_stage[entry.column] += of_slope[entry.row] * slots[entry.slot * kStages + stage];
     }
   };
-  WithSize(n, [&](auto known) {
+  DispatchSize(n, [&](auto known) {
     PullBackThroughStages<known>(
         n, num_parameters(), layout().num_controls, step.h, slopes, multiply, scratch, after, out);
   });
@@ -1243,8 +1243,8 @@ int RecordedSystem::Reset(const ModePoint& at, int guard, double* x_plus) const 
     std::copy_n(at.x, size(at.mode), x_plus);
     const Evaluated& piece = this->at(at.mode);
     const bool leaves = piece.switches[guard - (num_guards(at.mode) - num_switches(at.mode))].slides;
-    const int along = leaves ? -1 : PieceBeside(at, guard, Side::kSliding);
-    return along >= 0 ? along : PieceBeside(at, guard, Side::kOther);
+    const int along = leaves ? -1 : AdjacentPiece(at, guard, Side::kSliding);
+    return along >= 0 ? along : AdjacentPiece(at, guard, Side::kOther);
   }
   const Transition& of = transition(at.mode, guard);
   of.reset.Evaluate(InputsOf(of.reset, InputsAt(at)), x_plus);

@@ -92,7 +92,7 @@ struct ExpressionGraph {
 };
 
 // Checks a graph: "found x, expected y", empty if it is valid.
-std::string WhatIsWrongWith(const ExpressionGraph& graph);
+std::string Validate(const ExpressionGraph& graph);
 
 // The flow along the zeros of k numbers, by Filippov's convention: the combination of the flows beside them, in which
 // each number keeps its value. `beside`: functions of [x t ...] with n states, those of RecordedSwitches::Beside. Its
@@ -109,7 +109,7 @@ std::optional<std::vector<LinearFlow::Entry>> AffineDerivatives(const Expression
 
 class RecordedFunction {
  public:
-  // Precondition: WhatIsWrongWith(recording) is empty.
+  // Precondition: Validate(recording) is empty.
   explicit RecordedFunction(const ExpressionGraph& graph);
 
   int num_inputs() const { return num_inputs_; }
@@ -208,7 +208,7 @@ class RecordedSystem final : public HybridFunctions {
   int BaseMode(int mode) const override { return at(mode).base; }
   int num_base_modes() const override { return static_cast<int>(modes_.size()); }
   int PieceAt(const ModePoint& point) const override;
-  int PieceBeside(const ModePoint& point, int guard, Side side) const override;
+  int AdjacentPiece(const ModePoint& point, int guard, Side side) const override;
   bool IsOn(int mode, int guard) const override;
 
   void Flow(const ModePoint& at, double* xdot) const override;

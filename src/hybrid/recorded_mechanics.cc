@@ -32,13 +32,16 @@ double ValueOf(const TimeJet<S>& x) {
 using Taylor = std::array<double, 4>;
 
 template <int kWidth>
-ceres::Jet<double, kWidth> At(const ceres::Jet<double, kWidth>& x, const double* f) {
+ceres::Jet<double, kWidth> EvaluateRecorded(const ceres::Jet<double, kWidth>& x, const double* f) {
   return {f[0], f[1] * x.v};
 }
-TimeJet<double> At(const TimeJet<double>& x, const double* f) { return TimeJet<double>::Of(x, f[0], f[1], f[2]); }
+TimeJet<double> EvaluateRecorded(const TimeJet<double>& x, const double* f) {
+  return TimeJet<double>::Compose(x, f[0], f[1], f[2]);
+}
 template <int kWidth>
-TimeJet<ceres::Jet<double, kWidth>> At(const TimeJet<ceres::Jet<double, kWidth>>& x, const double* f) {
-  return TimeJet<ceres::Jet<double, kWidth>>::Of(x, At(x.value, f), At(x.value, f + 1), At(x.value, f + 2));
+TimeJet<ceres::Jet<double, kWidth>> EvaluateRecorded(const TimeJet<ceres::Jet<double, kWidth>>& x, const double* f) {
+  return TimeJet<ceres::Jet<double, kWidth>>::Compose(
+      x, EvaluateRecorded(x.value, f), EvaluateRecorded(x.value, f + 1), EvaluateRecorded(x.value, f + 2));
 }
 
 Taylor PowerAt(double x, double exponent) {
@@ -143,10 +146,10 @@ void Compute(Operation operation, const T& a, const T& b, const T& c, bool expon
       return;
     case kPower:
       if (exponent_is_constant) {
-        *result = At(a, PowerAt(ValueOf(a), ValueOf(b)).data());
+        *result = EvaluateRecorded(a, PowerAt(ValueOf(a), ValueOf(b)).data());
       } else {
-        const T logarithm = b * At(a, TaylorOf(kLog, ValueOf(a)).data());
-        *result = At(logarithm, TaylorOf(kExp, ValueOf(logarithm)).data());
+        const T logarithm = b * EvaluateRecorded(a, TaylorOf(kLog, ValueOf(a)).data());
+        *result = EvaluateRecorded(logarithm, TaylorOf(kExp, ValueOf(logarithm)).data());
       }
       return;
     case kWhere:
@@ -164,7 +167,7 @@ void Compute(Operation operation, const T& a, const T& b, const T& c, bool expon
       *result = T(Apply(operation, ValueOf(a), ValueOf(b), ValueOf(c)));
       return;
     default:
-      *result = At(a, TaylorOf(operation, ValueOf(a)).data());
+      *result = EvaluateRecorded(a, TaylorOf(operation, ValueOf(a)).data());
   }
 }
 
@@ -197,7 +200,7 @@ class RecordedMechanics {
 
   template <typename T>
   void Mass(const T* q, const T* p, T* M) const {
-    At(mass_, q, p, M);
+    EvaluateRecorded(mass_, q, p, M);
   }
   template <typename T>
   void Force(const T& t, const T* q, const T* v, const T* u, const T* p, T* h) const {
@@ -206,27 +209,27 @@ class RecordedMechanics {
   }
   template <typename T>
   T Gap(int contact, const T* q, const T* p) const {
-    return At(contacts_[contact].gap, q, p);
+    return EvaluateRecorded(contacts_[contact].gap, q, p);
   }
   template <typename T>
   void SlideRow(int contact, const T* q, const T* p, T* row) const {
-    if (contacts_[contact].row) At(*contacts_[contact].row, q, p, row);
+    if (contacts_[contact].row) EvaluateRecorded(*contacts_[contact].row, q, p, row);
   }
   template <typename T>
   T Distance(int contact, const T* q, const T* p) const {
-    return At(contacts_[contact].distance ? *contacts_[contact].distance : contacts_[contact].gap, q, p);
+    return EvaluateRecorded(contacts_[contact].distance ? *contacts_[contact].distance : contacts_[contact].gap, q, p);
   }
   template <typename T>
   T Reach(int contact, const T* q, const T* p) const {
-    return contacts_[contact].reach ? At(*contacts_[contact].reach, q, p) : T(1.0);
+    return contacts_[contact].reach ? EvaluateRecorded(*contacts_[contact].reach, q, p) : T(1.0);
   }
   template <typename T>
   T Restitution(int contact, const T* p) const {
-    return OfParameters(contacts_[contact].restitution, p);
+    return EvaluateAtParameters(contacts_[contact].restitution, p);
   }
   template <typename T>
   T Friction(int contact, const T* p) const {
-    return OfParameters(contacts_[contact].friction, p);
+    return EvaluateAtParameters(contacts_[contact].friction, p);
   }
 
  private:
@@ -241,17 +244,17 @@ class RecordedMechanics {
   };
 
   template <typename T>
-  void At(const RecordedFunction& function, const T* q, const T* p, T* outputs) const {
+  void EvaluateRecorded(const RecordedFunction& function, const T* q, const T* p, T* outputs) const {
     Evaluate<T>(function, {{q, layout_.num_coordinates}, {p, layout_.num_parameters}}, outputs);
   }
   template <typename T>
-  T At(const RecordedFunction& function, const T* q, const T* p) const {
+  T EvaluateRecorded(const RecordedFunction& function, const T* q, const T* p) const {
     T value;
-    At(function, q, p, &value);
+    EvaluateRecorded(function, q, p, &value);
     return value;
   }
   template <typename T>
-  T OfParameters(const RecordedFunction& function, const T* p) const {
+  T EvaluateAtParameters(const RecordedFunction& function, const T* p) const {
     T value;
     Evaluate<T>(function, {{p, layout_.num_parameters}}, &value);
     return value;
@@ -287,10 +290,10 @@ class RecordedMechanics {
   std::vector<Contact> contacts_;
 };
 
-std::string WhatIsWrongWith(const MechanicalLayout& layout, const MechanicalRecording& recording) {
+std::string Validate(const MechanicalLayout& layout, const MechanicalRecording& recording) {
   const int n = layout.num_coordinates, of_mass = n + layout.num_parameters;
   const auto check = [](const ExpressionGraph& graph, int inputs, int outputs, const std::string& what) {
-    if (const std::string wrong = WhatIsWrongWith(graph); !wrong.empty()) return what + ": " + wrong;
+    if (const std::string wrong = Validate(graph); !wrong.empty()) return what + ": " + wrong;
     if (graph.num_inputs == inputs && static_cast<int>(graph.outputs.size()) == outputs) return std::string();
     return what + ": found " + std::to_string(graph.num_inputs) + " inputs and " +
            std::to_string(graph.outputs.size()) + " outputs, expected " + std::to_string(inputs) + " and " +
@@ -324,7 +327,7 @@ std::string WhatIsWrongWith(const MechanicalLayout& layout, const MechanicalReco
     Eigen::MatrixXd matrix(n, n);
     const RecordedFunction::Part part{at.data(), of_mass};
     mass.Evaluate({&part, 1}, matrix.data());
-    wrong = WhatIsUnsymmetric(matrix.transpose(), layout);
+    wrong = DescribeAsymmetry(matrix.transpose(), layout);
   }
   if (!wrong.empty()) return wrong;
   // All numbers up to that of the time count: of a mass, whose inputs are [q p], the coordinates.

@@ -26,9 +26,9 @@ struct MechanicalRecording {
 
 // Checks a recording: "mass: found x, expected y", empty if it is valid. A mass or a force that decides by a number
 // that depends on q, v or t is refused: where it is not smooth, the simulation locates no event.
-std::string WhatIsWrongWith(const MechanicalLayout& layout, const MechanicalRecording& recording);
+std::string Validate(const MechanicalLayout& layout, const MechanicalRecording& recording);
 
-// Precondition: WhatIsWrongWith is empty. Which contacts have friction and a reach is read from the recording.
+// Precondition: Validate() returns an empty text. Which contacts have friction and a reach is read from the recording.
 std::shared_ptr<const MechanicalFunctions> MakeMechanicalFunctions(MechanicalLayout layout,
                                                                    const MechanicalRecording& recording);
 

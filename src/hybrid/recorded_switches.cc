@@ -335,7 +335,7 @@ bool RecordedSwitches::OnlyFirstFunctionJumps(const Sides& sides) const {
   return std::ranges::none_of(piece.used, [&](int number) { return Slides(number, sides); });
 }
 
-ExpressionGraph RecordedSwitches::Beside(const Sides& sides) const {
+ExpressionGraph RecordedSwitches::CornerFunctions(const Sides& sides) const {
   ExpressionGraph graph;
   const std::vector<int> sliding = Sliding(sides);
   for (std::size_t i = 0; i <= sliding.size(); ++i) {

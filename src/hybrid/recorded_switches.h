@@ -49,7 +49,7 @@ class RecordedSwitches {
   // Whether no function but the first, and no number of a switch, depends on a switch along which the motion slides.
   bool OnlyFirstFunctionJumps(const Sides& sides) const;
   // Returns the first function below zero of all of k numbers and above zero of each one alone, and the numbers.
-  ExpressionGraph Beside(const Sides& sides) const;
+  ExpressionGraph CornerFunctions(const Sides& sides) const;
   // Returns the mixed second differences of the first function at these numbers, two at a time.
   ExpressionGraph MixedChanges(const Sides& sides) const;
   // A number that is above zero within the piece and falls through zero where the piece ends: for the integer part

@@ -104,14 +104,16 @@ RolloutRun::RolloutRun(const HybridSystem& system, const HybridOptions& options)
   next_guards_.resize(most_guards);
 }
 
-std::string RolloutRun::Where() const { return "mode '" + system_.ModeName(at_.mode) + "' at t = " + Text(at_.t); }
+std::string RolloutRun::DescribeTime() const {
+  return "mode '" + system_.ModeName(at_.mode) + "' at t = " + Text(at_.t);
+}
 
-std::string RolloutRun::Named(int mode, int guard) const {
+std::string RolloutRun::QualifiedGuardName(int mode, int guard) const {
   return (functions_.IsSwitch(mode, guard) ? "switch '" : "guard '") + system_.GuardName(mode, guard) + "'";
 }
 
 // Says what to do where events of a guard may not end.
-std::string RolloutRun::WaysOn(int mode, int guard) const {
+std::string RolloutRun::DescribeContinuations(int mode, int guard) const {
   if (functions_.IsSwitch(mode, guard)) {
     return "; if they do not end, make the change of the flow gradual, or end the motion before";
   }
@@ -179,15 +181,16 @@ bool RolloutRun::FailAt(const FlowStep& step) {
   if (integrates && functions_.Fly(step, stage.data(), nullptr)) {
     const auto found = std::ranges::find_if(stage, not_finite);
     if (found != stage.end()) {
-      why_ = "the closed form of the flow of " + Where() + " gives no finite " +
+      why_ = "the closed form of the flow of " + DescribeTime() + " gives no finite " +
              system_.StateName(at_.mode, static_cast<int>(found - stage.begin()));
       return false;
     }
   }
-  why_ = "the state of " + Where() + " does not stay finite: it overflows";
+  why_ = "the state of " + DescribeTime() + " does not stay finite: it overflows";
   for (int i = n; i-- > 0;) {
     if (not_finite(next_state_[i]) || not_finite(next_slope_[i])) {
-      why_ = "the state of " + Where() + " does not stay finite: " + system_.StateName(at_.mode, i) + " overflows";
+      why_ =
+          "the state of " + DescribeTime() + " does not stay finite: " + system_.StateName(at_.mode, i) + " overflows";
     }
   }
   return false;
@@ -200,7 +203,7 @@ bool RolloutRun::UpdateSlope() {
   functions_.Flow(StepFrom(0), at_.slope.data());
   for (int i = 0; i < n; ++i) {
     if (std::isfinite(at_.slope[i])) continue;
-    return Refuse("the flow of " + Where() + " gives no finite derivative of " + system_.StateName(at_.mode, i));
+    return Refuse("the flow of " + DescribeTime() + " gives no finite derivative of " + system_.StateName(at_.mode, i));
   }
   return true;
 }
@@ -210,8 +213,8 @@ double RolloutRun::Elapsed(double time) const { return std::min(time - input_->b
 
 void RolloutRun::UpdateGuards() { functions_.GuardRates(StepFrom(0), at_.slope.data(), at_.guards.data()); }
 
-// Whether a guard of the mode jumps where the control does. Systems that create modes determine, by ModeUnder, where
-// a jump of the control leads to.
+// Whether a guard of the mode jumps where the control does. Systems that create modes determine, by
+// ModeAfterControlJump, where a jump of the control leads to.
 bool RolloutRun::JumpsWithControl(int guard) const {
   return !functions_.CreatesModes() && functions_.ReadsControl(at_.mode, guard) &&
          !functions_.IsSwitch(at_.mode, guard);
@@ -220,15 +223,15 @@ bool RolloutRun::JumpsWithControl(int guard) const {
 // The control has jumped: the motion goes on in the mode that the system's functions return.
 bool RolloutRun::SwitchControl() {
   const FlowStep here = StepFrom(0);
-  const int next = functions_.ModeUnder(here);
+  const int next = functions_.ModeAfterControlJump(here);
   if (next < 0) {
-    return Refuse("there is no mode under the control that begins in " + Where() + ": " +
-                  functions_.WhyNoMode(here, -1));
+    return Refuse("there is no mode under the control that begins in " + DescribeTime() + ": " +
+                  functions_.ReasonNoMode(here, -1));
   }
   if (next != at_.mode) {
     switches_.push_back({.time = at_.t, .mode = at_.mode, .guard = -1, .next_mode = next, .before = {}, .after = {}});
     at_.mode = next;
-    return Enter(Entry::kAfterReset);
+    return EnterMode(Entry::kAfterReset);
   }
   const int mode = at_.mode;
   bool enters = std::count(at_.at_zero.begin(), at_.at_zero.end(), 0) < std::ssize(at_.at_zero);
@@ -237,35 +240,35 @@ bool RolloutRun::SwitchControl() {
   }
   if (enters) {
     const std::size_t events = events_.size();
-    if (!Enter(Entry::kControlJump)) return false;
+    if (!EnterMode(Entry::kControlJump)) return false;
     if (at_.mode != mode && events_.size() == events) {
       switches_.push_back({.time = at_.t, .mode = mode, .guard = -1, .next_mode = at_.mode, .before = {}, .after = {}});
     }
     return true;
   }
-  Remark(functions_.WhyNoDerivative(here, -1));
+  Remark(functions_.ReasonNoDerivative(here, -1));
   if (!UpdateSlope()) return false;
   UpdateGuards();
   return true;
 }
 
 // Sets the times of the grid: each part of a control interval, which the times in `divided` divide, has as many steps.
-void RolloutRun::SetGrid(int steps, std::span<const double> divided) {
+void RolloutRun::SetGrid(int steps, std::span<const double> divisions) {
   const HybridInput& input = *input_;
   tape_.step = input.duration / (input.num_intervals * steps);
   tape_.num_nodes = input.num_intervals * steps;
   for (int k = 0; k < input.num_intervals; ++k) tape_.begins.push_back(k * steps);
-  if (input.lengths.empty() && divided.empty()) return;
+  if (input.lengths.empty() && divisions.empty()) return;
   const std::vector<double> ends = input.Times();
   tape_.fractions = {0};
-  auto next = divided.begin();
+  auto next = divisions.begin();
   for (int k = 0; k < input.num_intervals; ++k) {
     tape_.begins[k] = static_cast<int>(tape_.fractions.size()) - 1;
     const double end_of_interval = ends[k + 1] - input.begin;
     double begin = ends[k] - input.begin;
     do {  // once for an interval of length zero
-      while (next != divided.end() && !(*next * input.duration > begin)) ++next;
-      const double end = next == divided.end() ? end_of_interval : std::min(*next * input.duration, end_of_interval);
+      while (next != divisions.end() && !(*next * input.duration > begin)) ++next;
+      const double end = next == divisions.end() ? end_of_interval : std::min(*next * input.duration, end_of_interval);
       for (int i = 1; i <= steps; ++i) tape_.fractions.push_back((begin + (end - begin) * i / steps) / input.duration);
       tape_.fractions.back() = end / input.duration;
       begin = end;
@@ -281,7 +284,7 @@ RolloutEnd RolloutRun::Run(const HybridInput& input, const RolloutSteps& steps, 
   unresolved_ = {};
   search_.Forget();
   tape_.Clear();
-  SetGrid(steps.per_interval, steps.divided);
+  SetGrid(steps.per_interval, steps.divisions);
   events_.clear();
   switches_.clear();
   befores_.clear();
@@ -303,7 +306,7 @@ RolloutEnd RolloutRun::Run(const HybridInput& input, const RolloutSteps& steps, 
   interval_ = 0;
   std::copy(input.initial.begin(), input.initial.end(), at_.x.begin());
   at_.mode = functions_.PieceAt(StepFrom(0));
-  bool goes_on = Enter(Entry::kStart);
+  bool goes_on = EnterMode(Entry::kStart);
   for (int node = 1; goes_on && node <= tape_.num_nodes; ++node) {
     const auto next = static_cast<int>(tape_.intervals.size());
     if (next < input.num_intervals && node - 1 == tape_.begins[next]) {
@@ -339,9 +342,9 @@ bool RolloutRun::JumpsFrom(const std::vector<double>& slope) const {
 }
 
 // Whether a motion on zero of a switch stays there. `fastest`: the largest rate of a switch beside it, as far as known.
-bool RolloutRun::StaysOn(const FlowStep& ahead, int guard, double fastest) {
+bool RolloutRun::StaysOnSwitch(const FlowStep& ahead, int guard, double fastest) {
   for (const double part : {0.5, 1.0}) {
-    const GuardValue then = search_.After(ahead, at_.slope.data(), guard, part * ahead.h);
+    const GuardValue then = search_.GuardAfter(ahead, at_.slope.data(), guard, part * ahead.h);
     if (std::abs(then.value - at_.guards[guard].value) > kStays * fastest * ahead.h) return false;
   }
   return true;
@@ -350,7 +353,7 @@ bool RolloutRun::StaysOn(const FlowStep& ahead, int guard, double fastest) {
 // Finds the piece of the mode in which the motion goes on, and leaves its slope and guards in at_: a switch below zero,
 // or at zero and falling, takes its other side. If both sides point at the switch, the motion stays on it if the flow
 // there keeps it.
-bool RolloutRun::SettleSides() {
+bool RolloutRun::ChooseSwitchSides() {
   const int mode = at_.mode;
   double fastest = 0;
   std::vector<int> seen;
@@ -358,41 +361,43 @@ bool RolloutRun::SettleSides() {
     if (!UpdateSlope()) return false;
     UpdateGuards();
     const FlowStep here = StepFrom(tape_.step);
-    search_.Enter(here);
+    search_.EnterMode(here);
     const int count = system_.num_guards(at_.mode);
     int turns = -1, next = -1;
     for (int guard = count - functions_.num_switches(at_.mode); guard < count && turns < 0; ++guard) {
       const GuardValue& value = at_.guards[guard];
-      if (!std::isfinite(value.value)) return Refuse(Named(at_.mode, guard) + " is not a finite number in " + Where());
-      using Standing = EventSearch::Standing;
-      const Standing standing = search_.Classify(here, at_.slope.data(), guard, value, Elapsed(at_.t));
-      const bool rises = standing == Standing::kArmed || standing == Standing::kRising;
+      if (!std::isfinite(value.value))
+        return Refuse(QualifiedGuardName(at_.mode, guard) + " is not a finite number in " + DescribeTime());
+      using GuardStatus = EventSearch::GuardStatus;
+      const GuardStatus standing = search_.Classify(here, at_.slope.data(), guard, value, Elapsed(at_.t));
+      const bool rises = standing == GuardStatus::kArmed || standing == GuardStatus::kRising;
       const bool on = functions_.IsOn(at_.mode, guard);
       using Side = HybridFunctions::Side;
-      const bool stays = on && functions_.PieceBeside(here, guard, Side::kSliding) < 0 && StaysOn(here, guard, fastest);
+      const bool stays =
+          on && functions_.AdjacentPiece(here, guard, Side::kSliding) < 0 && StaysOnSwitch(here, guard, fastest);
       if (on ? stays : rises) continue;
       turns = guard;
-      next = functions_.PieceBeside(here, guard, !on ? Side::kOther : rises ? Side::kAbove : Side::kBelow);
+      next = functions_.AdjacentPiece(here, guard, !on ? Side::kOther : rises ? Side::kAbove : Side::kBelow);
     }
     if (turns < 0) break;
     fastest = std::max(fastest, std::abs(at_.guards[turns].rate));
     seen.push_back(at_.mode);
     const auto known = [&](int piece) { return std::find(seen.begin(), seen.end(), piece) != seen.end(); };
     if (known(next)) {
-      const int along = functions_.PieceBeside(here, turns, HybridFunctions::Side::kSliding);
+      const int along = functions_.AdjacentPiece(here, turns, HybridFunctions::Side::kSliding);
       if (along >= 0 && !known(along)) {
         if (!events_.empty() && events_.back().is_switch && tape_.entries.back().kind == TapeEntry::Kind::kReset &&
             (&tape_.entries.back())[-1].h > 0) {
           Remark("the motion meets switch '" + system_.GuardName(at_.mode, turns) + "' and another one",
                  ", where Filippov's convention need not determine how it goes on");
         }
-        if (!Fire(turns, /*with_step=*/true, /*at_once=*/true)) return false;
+        if (!ApplyReset(turns, /*with_step=*/true, /*immediate=*/true)) return false;
         continue;
       }
-      const int on = functions_.PieceBeside(here, turns, HybridFunctions::Side::kOn);
+      const int on = functions_.AdjacentPiece(here, turns, HybridFunctions::Side::kOn);
       if (on < 0 || known(on)) {
         Refuse("the flow on both sides of switch '" + system_.GuardName(at_.mode, turns) + "' points at it in " +
-               Where() +
+               DescribeTime() +
                ": the motion would slide along the switch. Give the motion along it a mode of its own, or make "
                "the change of the flow gradual; in Python sliding='filippov' goes on along it, where Filippov's "
                "convention determines the flow and the switch is no step of floor or %");
@@ -415,7 +420,7 @@ bool RolloutRun::SettleSides() {
 }
 
 // The numbers of the input on which a guard depends, where at_ is.
-RolloutRun::AtStart RolloutRun::DependenceOf(int guard) const {
+RolloutRun::StartDependence RolloutRun::DependenceOf(int guard) const {
   const int n = system_.state_size(at_.mode), num_parameters = system_.num_parameters();
   std::vector<double> gradient(n + 1 + num_parameters + system_.num_controls());
   functions_.GuardGradient(StepFrom(0), guard, gradient.data());
@@ -430,12 +435,14 @@ void RolloutRun::RemarkOnStart(const std::vector<int>& guards, bool first) {
   const auto any = [](const std::vector<char>& depends) {
     return std::ranges::count(depends, 0) < std::ssize(depends);
   };
-  const auto depends = [&](const AtStart& of) { return any(of.initial) || any(of.parameters) || any(of.control); };
+  const auto depends = [&](const StartDependence& of) {
+    return any(of.initial) || any(of.parameters) || any(of.control);
+  };
   if (!first && std::ranges::any_of(at_start_, depends)) return;
-  AtStart all;
+  StartDependence all;
   std::string names;
   for (const int guard : guards) {
-    AtStart of_guard = DependenceOf(guard);
+    StartDependence of_guard = DependenceOf(guard);
     if (!first) {
       const char reads_state = any(of_guard.initial) ? 1 : 0;
       of_guard.initial.assign(input_->initial.size(), reads_state);
@@ -483,12 +490,13 @@ void RolloutRun::RemarkOnSwitches(Entry entry) {
   const int count = system_.num_guards(at_.mode), mode = at_.mode;
   const std::vector<double> slope = at_.slope;
   for (int guard = count - functions_.num_switches(mode); guard < count; ++guard) {
-    if (search_.Classify(here, slope.data(), guard, at_.guards[guard], Elapsed(at_.t)) == EventSearch::Standing::kArmed)
+    if (search_.Classify(here, slope.data(), guard, at_.guards[guard], Elapsed(at_.t)) ==
+        EventSearch::GuardStatus::kArmed)
       continue;
     bool jumps = false;
     using Side = HybridFunctions::Side;
     for (const Side side : {Side::kOther, Side::kBelow, Side::kAbove}) {
-      const int beside = functions_.PieceBeside(here, guard, side);
+      const int beside = functions_.AdjacentPiece(here, guard, side);
       if (beside < 0) continue;
       at_.mode = beside;
       functions_.Flow(StepFrom(0), at_.slope.data());
@@ -530,10 +538,10 @@ void RolloutRun::RemarkOnSharedSurfaces(const FlowStep& here) {
   for (int guard = count - functions_.num_switches(mode); guard < count; ++guard) {
     const GuardValue& value = at_.guards[guard];
     if (functions_.IsOn(mode, guard) || value.rate != 0 || system_.GuardName(mode, guard) == name ||
-        search_.Classify(here, slope.data(), guard, value, Elapsed(at_.t)) == EventSearch::Standing::kArmed) {
+        search_.Classify(here, slope.data(), guard, value, Elapsed(at_.t)) == EventSearch::GuardStatus::kArmed) {
       continue;
     }
-    const int beside = functions_.PieceBeside(here, guard, HybridFunctions::Side::kOther);
+    const int beside = functions_.AdjacentPiece(here, guard, HybridFunctions::Side::kOther);
     if (beside < 0) continue;
     at_.mode = beside;
     functions_.Flow(StepFrom(0), at_.slope.data());
@@ -551,23 +559,23 @@ void RolloutRun::RemarkOnSharedSurfaces(const FlowStep& here) {
 // of guards that are behind belong to the event before and come first; then the earliest event of guards at zero, and
 // of those that rounding does not separate that of the smallest number. Where only the control jumps, guards at zero
 // are looked at, and those that read the control, whose event is there if it takes them below zero.
-bool RolloutRun::Enter(Entry entry) {
-  using Standing = EventSearch::Standing;
+bool RolloutRun::EnterMode(Entry entry) {
+  using GuardStatus = EventSearch::GuardStatus;
   const bool starts = entry == Entry::kStart;
   for (;;) {
     const int mode = at_.mode;
     const bool switches = functions_.num_switches(mode) > 0;
-    if (switches ? !SettleSides() : !UpdateSlope()) return false;
+    if (switches ? !ChooseSwitchSides() : !UpdateSlope()) return false;
     if (at_.mode != mode && entry == Entry::kControlJump) entry = Entry::kAfterReset;  // with other guards
-    if (entry == Entry::kStart) Remark(functions_.WhyNoDerivative(StepFrom(0), -1));
+    if (entry == Entry::kStart) Remark(functions_.ReasonNoDerivative(StepFrom(0), -1));
     const FlowStep ahead = StepFrom(tape_.step);
     const double elapsed = entry == Entry::kStart ? ahead.h : Elapsed(at_.t);
     int due = -1;
-    std::vector<int> at_once;
-    Standing of_due = Standing::kFalling;
+    std::vector<int> immediate;
+    GuardStatus of_due = GuardStatus::kFalling;
     double time = 0, rounding = 0;  // of the event that is due
     UpdateGuards();
-    search_.Enter(ahead);
+    search_.EnterMode(ahead);
     const bool is_reset = !events_.empty() && tape_.entries.back().kind == TapeEntry::Kind::kReset;
     if (switches && (entry == Entry::kStart || (is_reset && !events_.back().is_switch))) RemarkOnSwitches(entry);
     if (switches) RemarkOnSharedSurfaces(ahead);
@@ -578,39 +586,39 @@ bool RolloutRun::Enter(Entry entry) {
       if (entry == Entry::kControlJump && at_.at_zero[guard] == 0 && !jumps) continue;
       const GuardValue& value = at_.guards[guard];
       if (!std::isfinite(value.value)) {
-        return Refuse(Named(at_.mode, guard) + " is not a finite number in " + Where());
+        return Refuse(QualifiedGuardName(at_.mode, guard) + " is not a finite number in " + DescribeTime());
       }
-      const Standing standing = search_.Classify(ahead, at_.slope.data(), guard, value, elapsed);
-      at_.armed[guard] = standing == Standing::kArmed;
-      at_.at_zero[guard] = standing == Standing::kRising;
+      const GuardStatus standing = search_.Classify(ahead, at_.slope.data(), guard, value, elapsed);
+      at_.armed[guard] = standing == GuardStatus::kArmed;
+      at_.at_zero[guard] = standing == GuardStatus::kRising;
       if (switches && functions_.IsSwitch(at_.mode, guard)) {
         if (!functions_.IsOn(at_.mode, guard)) continue;
         at_.armed[guard] = kHeld;
         at_.at_zero[guard] = 0;
         continue;
       }
-      if (standing == Standing::kRising && entry == Entry::kAfterReset && is_reset && !starts)
+      if (standing == GuardStatus::kRising && entry == Entry::kAfterReset && is_reset && !starts)
         RemarkOnRisingGuard(guard);
-      if (standing == Standing::kArmed || standing == Standing::kRising) continue;
-      if (standing == Standing::kBehind) {
+      if (standing == GuardStatus::kArmed || standing == GuardStatus::kRising) continue;
+      if (standing == GuardStatus::kBehind) {
         if (entry == Entry::kStart) {
           if (!options_.wait_behind_guards) {
             return Refuse("guard '" + system_.GuardName(at_.mode, guard) + "' is below zero (" + Text(value.value) +
-                          ") at the start, in " + Where());
+                          ") at the start, in " + DescribeTime());
           }
           // A motion that goes on from interval to interval begins with jumps of the control.
           if (!JumpsWithControl(guard)) continue;
         }
         if (jumps && !was_armed) continue;
-        if (value.rate >= 0 && functions_.WaitsBehind(at_.mode, guard)) continue;
+        if (value.rate >= 0 && functions_.RearmsAboveZero(at_.mode, guard)) continue;
       }
-      if (starts) at_once.push_back(guard);
-      if (due >= 0 && (of_due == Standing::kBehind || standing == Standing::kSinking)) continue;
+      if (starts) immediate.push_back(guard);
+      if (due >= 0 && (of_due == GuardStatus::kBehind || standing == GuardStatus::kSinking)) continue;
       double then = 0, error = 0;
-      if (standing == Standing::kFalling) {
+      if (standing == GuardStatus::kFalling) {
         then = std::max(value.value, 0.0) / -value.rate;
         error = search_.WindowOf(ahead, guard, value.rate, elapsed).rounding / -value.rate;
-        if (due >= 0 && of_due == Standing::kFalling && then >= time - rounding - error) continue;
+        if (due >= 0 && of_due == GuardStatus::kFalling && then >= time - rounding - error) continue;
       }
       due = guard;
       of_due = standing;
@@ -620,14 +628,14 @@ bool RolloutRun::Enter(Entry entry) {
     if (due < 0) return true;
     due = functions_.CauseOf(StepFrom(0), due);
     const std::string name = "guard '" + system_.GuardName(at_.mode, due) + "'";
-    if (starts) RemarkOnStart(at_once, entry == Entry::kStart);
-    if (entry == Entry::kControlJump && of_due != Standing::kBehind)
+    if (starts) RemarkOnStart(immediate, entry == Entry::kStart);
+    if (entry == Entry::kControlJump && of_due != GuardStatus::kBehind)
       Remark(name + " has an event", ", where the control jumps");
-    if (const std::string why = WhyRepeats(due, of_due); !why.empty()) {
-      return GoOnAfterAccumulation(at_.t, at_.mode, due, why);
+    if (const std::string why = ReasonRepeatedEvent(due, of_due); !why.empty()) {
+      return ContinueAfterAccumulation(at_.t, at_.mode, due, why);
     }
-    if (of_due == Standing::kSinking) Remark(name + kSinks, kAtRateZero);
-    if (!Fire(due, of_due == Standing::kFalling, entry != Entry::kStart)) return false;
+    if (of_due == GuardStatus::kSinking) Remark(name + kSinks, kAtRateZero);
+    if (!ApplyReset(due, of_due == GuardStatus::kFalling, entry != Entry::kStart)) return false;
     entry = Entry::kAfterReset;
   }
 }
@@ -635,41 +643,45 @@ bool RolloutRun::Enter(Entry entry) {
 // Says why the events of this time go on without end: the guard has had one with the state that is reached again, or,
 // if the system names a mode to go on in, one after which it is left at zero with a rate of zero; or it has had too
 // many. Empty if they may end.
-std::string RolloutRun::WhyRepeats(int guard, EventSearch::Standing standing) const {
+std::string RolloutRun::ReasonRepeatedEvent(int guard, EventSearch::GuardStatus standing) const {
   int count = 0;
   for (std::size_t i = events_.size(); i-- > 0 && events_[i].time == at_.t;) {
     if (events_[i].mode != at_.mode || events_[i].guard != guard) continue;
     ++count;
     const bool named = functions_.OnAccumulation(at_.mode, guard) >= 0;
     const double* before = &tape_.numbers[befores_[i]];
-    if ((named && standing == EventSearch::Standing::kSinking) ||
+    if ((named && standing == EventSearch::GuardStatus::kSinking) ||
         std::equal(before, before + system_.state_size(at_.mode), at_.x.begin())) {
-      return "events without time passing (Zeno behaviour) in " + Where() + ": guard '" +
+      return "events without time passing (Zeno behaviour) in " + DescribeTime() + ": guard '" +
              system_.GuardName(at_.mode, guard) + "' has an event at once after its own";
     }
   }
   if (count < std::max(options_.most_repeats, 1)) return "";
-  if (events_.back().mode == at_.mode && events_.back().guard == guard && standing == EventSearch::Standing::kFalling) {
-    return "events without time passing (Zeno behaviour) in " + Where() + ": the reset of guard '" +
+  if (events_.back().mode == at_.mode && events_.back().guard == guard &&
+      standing == EventSearch::GuardStatus::kFalling) {
+    return "events without time passing (Zeno behaviour) in " + DescribeTime() + ": the reset of guard '" +
            system_.GuardName(at_.mode, guard) +
            "' leaves it at zero and falling. Let the reset lead to a mode without this guard, or move the state off it";
   }
   return "more than " + std::to_string(options_.most_repeats) + " events without time passing (Zeno behaviour) in " +
-         Where() + ", of guard '" + system_.GuardName(at_.mode, guard) + "': raise most_repeats if they end";
+         DescribeTime() + ", of guard '" + system_.GuardName(at_.mode, guard) + "': raise most_repeats if they end";
 }
 
 // The reset of a guard, where at_ is. `with_step`: this is where the guard is zero, which a step of no length to the
 // event notes for the derivatives; otherwise such a step is on the tape, or the reset is part of the one before.
-bool RolloutRun::Fire(int guard, bool with_step, bool at_once) {
+bool RolloutRun::ApplyReset(int guard, bool with_step, bool immediate) {
   if (static_cast<int>(events_.size()) >= options_.most_events) {
-    return Refuse("more than " + std::to_string(options_.most_events) + " events, in " + Where() + ", of " +
-                  Named(at_.mode, guard) + ": raise most_events if the motion has as many" + WaysOn(at_.mode, guard));
+    return Refuse("more than " + std::to_string(options_.most_events) + " events, in " + DescribeTime() + ", of " +
+                  QualifiedGuardName(at_.mode, guard) + ": raise most_events if the motion has as many" +
+                  DescribeContinuations(at_.mode, guard));
   }
   const int mode = at_.mode;
-  const auto what = [&] { return "the reset of guard '" + system_.GuardName(mode, guard) + "' in " + Where() + " "; };
+  const auto what = [&] {
+    return "the reset of guard '" + system_.GuardName(mode, guard) + "' in " + DescribeTime() + " ";
+  };
   const FlowStep here = StepFrom(0);
-  const double rate = search_.At(here, at_.slope.data(), guard).rate;
-  Remark(functions_.WhyNoDerivative(here, guard));
+  const double rate = search_.GuardAt(here, at_.slope.data(), guard).rate;
+  Remark(functions_.ReasonNoDerivative(here, guard));
   if (with_step) Record(TapeEntry::Kind::kToEvent, 0).guard = guard;
   TapeEntry& reset = Record(TapeEntry::Kind::kReset, 0);
   reset.guard = guard;
@@ -680,11 +692,11 @@ bool RolloutRun::Fire(int guard, bool with_step, bool at_once) {
   if (next < 0 || next >= system_.num_modes()) {
     befores_.pop_back();
     if (functions_.IsSwitch(mode, guard)) {
-      return Refuse("the motion meets " + Named(mode, guard) + " in " + Where() +
+      return Refuse("the motion meets " + QualifiedGuardName(mode, guard) + " in " + DescribeTime() +
                     " while it slides along another switch, on whose sides other conditions decide: Filippov's "
                     "convention does not determine how it goes on");
     }
-    if (const std::string why = functions_.WhyNoMode(here, guard); !why.empty()) {
+    if (const std::string why = functions_.ReasonNoMode(here, guard); !why.empty()) {
       Refuse(what() + "leads to no mode: " + why);
       if (next < -1 && tape_.num_nodes < kShortSteps) end_ = RolloutEnd::kNotFinite;
       return false;
@@ -699,7 +711,7 @@ bool RolloutRun::Fire(int guard, bool with_step, bool at_once) {
                   "'");
   }
   afters_.push_back(tape_.Keep(next_state_.data(), system_.state_size(next)));
-  events_.push_back({at_.t, mode, guard, next, rate, {}, {}, at_once, functions_.IsSwitch(mode, guard)});
+  events_.push_back({at_.t, mode, guard, next, rate, {}, {}, immediate, functions_.IsSwitch(mode, guard)});
   std::copy_n(next_state_.begin(), system_.state_size(next), at_.x.begin());
   at_.mode = next;
   return true;
@@ -709,7 +721,8 @@ bool RolloutRun::Fire(int guard, bool with_step, bool at_once) {
 bool RolloutRun::StepTo(int node) {
   const double target = input_->begin + input_->duration * tape_.Fraction(node);
   for (;;) {
-    if (InterruptGuard::GraceIsOver() || (options_.stop && options_.stop())) return Refuse("interrupted in " + Where());
+    if (InterruptGuard::GraceIsOver() || (options_.stop && options_.stop()))
+      return Refuse("interrupted in " + DescribeTime());
     const int n = system_.state_size(at_.mode), num_guards = system_.num_guards(at_.mode);
     const FlowStep step = StepFrom(std::max(target - at_.t, 0.0));
     search_.integrator().Step(step, at_.slope.data(), next_state_.data(), next_slope_.data());
@@ -720,12 +733,12 @@ bool RolloutRun::StepTo(int node) {
     functions_.GuardRates(end, next_slope_.data(), next_guards_.data());
     for (int guard = 0; guard < num_guards; ++guard) {
       if (std::isfinite(next_guards_[guard].value)) continue;
-      Refuse(Named(at_.mode, guard) + " is not a finite number in " + Where());
+      Refuse(QualifiedGuardName(at_.mode, guard) + " is not a finite number in " + DescribeTime());
       if (functions_.Projects(at_.mode)) failure_time_ = target;  // to which a step that is too long may lead
       return false;
     }
     if (compare_guards_) CompareGuards(step);
-    Due due = EarliestEvent(step, next_guards_);
+    PendingEvent due = EarliestEvent(step, next_guards_);
     if (due.guard < 0 && node == tape_.num_nodes) {
       // An event so shortly after the end that rounding decides is one at the end.
       for (int guard = 0; guard < num_guards && due.guard < 0; ++guard) {
@@ -737,12 +750,12 @@ bool RolloutRun::StepTo(int node) {
       }
     }
     if (due.guard >= 0) {
-      if (!Happen(due, step)) return false;
+      if (!TakeEvent(due, step)) return false;
       continue;
     }
     Record(TapeEntry::Kind::kToNode, step.h).node = node;
     if (functions_.Projects(at_.mode)) {
-      if (!StaysOnEquations()) return false;
+      if (!SatisfiesEquations()) return false;
       at_.t = target;
       std::swap(at_.x, state_within_);
       if (!UpdateSlope()) return false;
@@ -761,13 +774,13 @@ bool RolloutRun::StepTo(int node) {
       at_.at_zero[guard] = at_.at_zero[guard] && !at_.armed[guard];
       at_.guards[guard] = next_guards_[guard];
     }
-    return !leaves || Enter(Entry::kAfterReset);
+    return !leaves || EnterMode(Entry::kAfterReset);
   }
 }
 
 // Projects next_state_, at the end of a step from at_, onto the equations of a mode with closed contacts:
 // state_within_. A step that ends far off them is too long for the flow.
-bool RolloutRun::StaysOnEquations() {
+bool RolloutRun::SatisfiesEquations() {
   functions_.Project(at_.mode, next_state_.data(), input_->parameters.data(), state_within_.data());
   double change = 0, off = 0;
   for (int i = 0; i < system_.state_size(at_.mode); ++i) {
@@ -776,7 +789,7 @@ bool RolloutRun::StaysOnEquations() {
     largest_ = std::max(largest_, std::abs(at_.x[i]));
   }
   if (off <= kOffEquations * change || off <= kOnEquations * largest_) return true;
-  Refuse("the steps of the integration are too long in " + Where() + ": one ends " + ToText(off, 2) +
+  Refuse("the steps of the integration are too long in " + DescribeTime() + ": one ends " + ToText(off, 2) +
          " off the equations of its closed contacts. Take more steps per interval, or let their number be chosen");
   end_ = RolloutEnd::kNotFinite;
   return false;
@@ -816,8 +829,8 @@ void RolloutRun::CompareGuards(const FlowStep& step) {
     if (least > kHides * off || most < -kHides * off || off <= kRoundingOfGuard * search_.Scale(within, guard))
       continue;
     if (unresolved_.steps++ > 0) return;
-    unresolved_.what = Named(step.mode, guard) + " changes faster than the steps resolve, in " + Where() +
-                       ": its events may be missed";
+    unresolved_.what = QualifiedGuardName(step.mode, guard) + " changes faster than the steps resolve, in " +
+                       DescribeTime() + ": its events may be missed";
     return;
   }
 }
@@ -834,8 +847,8 @@ bool RolloutRun::IsLastGrazing(int mode, int guard, double time) const {
 }
 
 // Returns the earliest event of the armed guards in a step; guards that graze are noted, and disarmed if they end at 0.
-RolloutRun::Due RolloutRun::EarliestEvent(const FlowStep& step, const std::vector<GuardValue>& end) {
-  Due earliest;
+RolloutRun::PendingEvent RolloutRun::EarliestEvent(const FlowStep& step, const std::vector<GuardValue>& end) {
+  PendingEvent earliest;
   for (int guard = 0; guard < system_.num_guards(step.mode); ++guard) {
     const GuardValue& begin = at_.guards[guard];
     if (at_.armed[guard] == kHeld) continue;
@@ -844,14 +857,14 @@ RolloutRun::Due RolloutRun::EarliestEvent(const FlowStep& step, const std::vecto
       continue;
     }
     bool sinks = false;
-    EventSearch::Found found = search_.Find(step, at_.slope.data(), guard, at_.armed[guard], begin, end[guard]);
-    if (found.what == EventSearch::Found::What::kNothing && at_.at_zero[guard]) {
+    EventSearch::GuardCrossing found = search_.Find(step, at_.slope.data(), guard, at_.armed[guard], begin, end[guard]);
+    if (found.kind == EventSearch::GuardCrossing::Kind::kNothing && at_.at_zero[guard]) {
       found = search_.FindSinking(step, at_.slope.data(), guard, begin, end[guard], Elapsed(step.t));
-      sinks = found.what == EventSearch::Found::What::kEvent;
+      sinks = found.kind == EventSearch::GuardCrossing::Kind::kEvent;
     }
-    if (found.what == EventSearch::Found::What::kEvent) {
+    if (found.kind == EventSearch::GuardCrossing::Kind::kEvent) {
       if (earliest.guard < 0 || found.s < earliest.s) earliest = {guard, found.s, sinks};
-    } else if (found.what == EventSearch::Found::What::kGrazing) {
+    } else if (found.kind == EventSearch::GuardCrossing::Kind::kGrazing) {
       if (end[guard].value <= 0) {  // the next step tells whether it returns
         at_.armed[guard] = false;
         at_.at_zero[guard] = true;
@@ -869,13 +882,13 @@ RolloutRun::Due RolloutRun::EarliestEvent(const FlowStep& step, const std::vecto
     for (int guard = 0; guard < system_.num_guards(step.mode) && !found; ++guard) {
       if (guard == earliest.guard || at_.armed[guard] == kHeld) continue;
       if (at_.armed[guard] && !(at_.guards[guard].value > 0)) continue;
-      const GuardValue then = search_.After(step, at_.slope.data(), guard, part.h);
+      const GuardValue then = search_.GuardAfter(step, at_.slope.data(), guard, part.h);
       if (then.value >= 0) continue;
       const FlowStep point = search_.PointAfter(step, at_.slope.data(), part.h);
       if (then.value >= -search_.WindowOf(point, guard, then.rate, Elapsed(point.t)).integrated) continue;
-      const EventSearch::Found before =
+      const EventSearch::GuardCrossing before =
           search_.Find(part, at_.slope.data(), guard, at_.armed[guard], at_.guards[guard], then);
-      found = before.what == EventSearch::Found::What::kEvent && before.s < earliest.s;
+      found = before.kind == EventSearch::GuardCrossing::Kind::kEvent && before.s < earliest.s;
       if (found) earliest = {guard, before.s};
     }
   }
@@ -885,7 +898,7 @@ RolloutRun::Due RolloutRun::EarliestEvent(const FlowStep& step, const std::vecto
 // The guards that reach zero with the one that is due, where at_ is: within the errors of the integration. `first` is
 // the guard that comes first, of those that rounding does not separate from the one that is due: a switch if there is
 // one, as guards are then what they are on its other side, and else that of the smallest number.
-std::vector<int> RolloutRun::TiedWith(const Due& due, int* first) {
+std::vector<int> RolloutRun::TiedGuards(const PendingEvent& due, int* first) {
   const FlowStep here = StepFrom(0);
   const double elapsed = Elapsed(at_.t);
   std::vector<int> tied;
@@ -912,22 +925,22 @@ std::vector<int> RolloutRun::TiedWith(const Due& due, int* first) {
   return tied;
 }
 
-bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
+bool RolloutRun::TakeEvent(const PendingEvent& due, const FlowStep& step) {
   FlowStep part = step;
   part.h = due.s;
   Coincidence coincidence;
   coincidence.begin = tape_.entries.size();
   Record(TapeEntry::Kind::kToEvent, due.s);
   search_.integrator().Step(part, at_.slope.data(), next_state_.data(), next_slope_.data());
-  if (functions_.Projects(at_.mode) && !StaysOnEquations()) return false;
+  if (functions_.Projects(at_.mode) && !SatisfiesEquations()) return false;
   std::copy_n(next_state_.begin(), system_.state_size(at_.mode), at_.x.begin());
   at_.t = std::min(step.t + due.s, step.t + step.h);
   if (!UpdateSlope()) return false;
   int first = due.guard;
-  coincidence.guards = TiedWith(due, &first);
+  coincidence.guards = TiedGuards(due, &first);
   first = functions_.CauseOf(StepFrom(0), first);
   tape_.entries.back().guard = first;
-  const std::string name = Named(at_.mode, first);
+  const std::string name = QualifiedGuardName(at_.mode, first);
   if (coincidence.guards.size() > 1) {
     coincidence.tie = static_cast<int>(ties_.size());
     const HybridTie& tie = ties_.emplace_back(HybridTie{.time = at_.t, .mode = at_.mode, .guards = coincidence.guards});
@@ -942,7 +955,7 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
   const bool control_jumps = coincidence.jump > 0;
   if (!control_jumps && std::ranges::count(DependenceOf(first).control, 1) > 0)
     coincidence.jump = IntervalBeginNear(*input_, at_.t, kAtJump);
-  const GuardValue at_event = search_.At(StepFrom(0), at_.slope.data(), first);
+  const GuardValue at_event = search_.GuardAt(StepFrom(0), at_.slope.data(), first);
   const bool turns = functions_.IsSwitch(at_.mode, first);
   const bool at_end = remaining <= kNear * input_->duration &&
                       remaining * std::abs(at_event.rate) <=
@@ -962,7 +975,7 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
   const int mode = at_.mode, first_switch = system_.num_guards(mode) - functions_.num_switches(mode);
   const std::vector<char> were_armed = turns ? at_.armed : std::vector<char>();
   const std::vector<double> slope = turns ? at_.slope : std::vector<double>();
-  if (!Fire(first, false, false) || !Enter(Entry::kAfterReset)) return false;
+  if (!ApplyReset(first, false, false) || !EnterMode(Entry::kAfterReset)) return false;
   if (turns && events_.size() == events + 1) {
     if (at_end && JumpsFrom(slope)) Remark(name + ", at which the flow jumps, is zero at the final time");
     // Guards that a switch leaves at zero: they touch it, and do not fall through.
@@ -988,11 +1001,11 @@ bool RolloutRun::Happen(const Due& due, const FlowStep& step) {
 }
 
 // Goes on in the mode that the system names where the events of a guard accumulate; refuses without one.
-bool RolloutRun::GoOnAfterAccumulation(double time, int mode, int guard, const std::string& why) {
+bool RolloutRun::ContinueAfterAccumulation(double time, int mode, int guard, const std::string& why) {
   accumulations_at_once_ = accumulation_ == time ? accumulations_at_once_ + 1 : 0;
   accumulation_ = time;
   const int next = functions_.OnAccumulation(mode, guard);
-  if (next < 0) return Refuse(why + WaysOn(mode, guard));
+  if (next < 0) return Refuse(why + DescribeContinuations(mode, guard));
   if (accumulations_at_once_ > system_.num_modes()) {
     return Refuse(why + "; the modes that OnAccumulation names lead to such events again. Name a mode without them");
   }
@@ -1001,7 +1014,7 @@ bool RolloutRun::GoOnAfterAccumulation(double time, int mode, int guard, const s
                   ", expected one with states of the same size");
   }
   at_.mode = events_.back().next_mode = next;
-  return Enter(Entry::kAfterReset);
+  return EnterMode(Entry::kAfterReset);
 }
 
 // Moves from the last event to where events accumulate: components of the state that converge go on to their limit.
@@ -1038,11 +1051,12 @@ bool RolloutRun::Accumulates(double until) {
     if (!(point < input_->begin + input_->duration)) continue;
     MoveToAccumulation(period, std::min(point, until));
     const HybridEvent& last = events_.back();
-    return !GoOnAfterAccumulation(point,
-                                  last.mode,
-                                  last.guard,
-                                  "events accumulate (Zeno behaviour) at about t = " + ToText(point, 16) + ", of " +
-                                      Named(last.mode, last.guard) + " in mode '" + system_.ModeName(last.mode) + "'");
+    return !ContinueAfterAccumulation(point,
+                                      last.mode,
+                                      last.guard,
+                                      "events accumulate (Zeno behaviour) at about t = " + ToText(point, 16) + ", of " +
+                                          QualifiedGuardName(last.mode, last.guard) + " in mode '" +
+                                          system_.ModeName(last.mode) + "'");
   }
   return false;
 }

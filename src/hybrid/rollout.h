@@ -36,7 +36,7 @@ int ControlJumpNear(const HybridInput& input, int num_controls, double time, dou
 // within it divide it. The times are parts of the duration, in order.
 struct RolloutSteps {
   int per_interval = 1;
-  std::span<const double> divided = {};
+  std::span<const double> divisions = {};
 };
 
 class RolloutRun {
@@ -59,11 +59,11 @@ class RolloutRun {
   const std::vector<TimedRemark>& remarks() const { return remarks_; }
   // Events at the start, and switches on which it is, if the flow jumps there: whether other inputs begin so too
   // depends on these numbers of the input.
-  struct AtStart {
+  struct StartDependence {
     std::string what;
     std::vector<char> initial, parameters, control;  // of the first interval
   };
-  const std::vector<AtStart>& at_start() const { return at_start_; }
+  const std::vector<StartDependence>& at_start() const { return at_start_; }
   // The time at which a run failed, and whether the flow failed there, at a state near the motion.
   double failure_time() const { return failure_time_; }
   bool flow_fails() const { return flow_fails_; }
@@ -81,7 +81,7 @@ class RolloutRun {
 
  private:
   // A mode and its state, with all guards as they stand. One that is at zero needs not rise before it falls.
-  struct At {
+  struct ModeState {
     int mode = 0;
     double t = 0;
     std::vector<double> x, slope;
@@ -89,36 +89,36 @@ class RolloutRun {
     std::vector<char> armed, at_zero;  // armed may be kHeld: a switch on whose zero the motion stays
   };
   static constexpr char kHeld = 2;
-  struct Due {
+  struct PendingEvent {
     int guard = -1;
     double s = 0;
     bool sinks = false;  // the guard is at zero at the beginning of the step, and leaves it with a rate of zero
   };
   enum class Entry { kStart, kAfterReset, kControlJump };
 
-  void SetGrid(int steps, std::span<const double> divided);
+  void SetGrid(int steps, std::span<const double> divisions);
   bool JumpsWithControl(int guard) const;
   bool SwitchControl();
-  bool SettleSides();
-  bool StaysOn(const FlowStep& ahead, int guard, double fastest);
+  bool ChooseSwitchSides();
+  bool StaysOnSwitch(const FlowStep& ahead, int guard, double fastest);
   bool JumpsFrom(const std::vector<double>& slope) const;
   void RemarkOnSwitches(Entry entry);
   void RemarkOnRisingGuard(int guard);
   void RemarkOnSharedSurfaces(const FlowStep& here);
   bool AllLandOn(int guard) const;
   bool StepTo(int node);
-  bool StaysOnEquations();
-  bool Enter(Entry entry);
-  bool Fire(int guard, bool with_step, bool at_once);
+  bool SatisfiesEquations();
+  bool EnterMode(Entry entry);
+  bool ApplyReset(int guard, bool with_step, bool immediate);
   bool IsLastGrazing(int mode, int guard, double time) const;
-  Due EarliestEvent(const FlowStep& step, const std::vector<GuardValue>& end);
-  bool Happen(const Due& due, const FlowStep& step);
-  std::vector<int> TiedWith(const Due& due, int* first);
+  PendingEvent EarliestEvent(const FlowStep& step, const std::vector<GuardValue>& end);
+  bool TakeEvent(const PendingEvent& due, const FlowStep& step);
+  std::vector<int> TiedGuards(const PendingEvent& due, int* first);
   void CompareGuards(const FlowStep& step);
   bool Accumulates(double until);
   void MoveToAccumulation(int period, double time);
-  std::string WhyRepeats(int guard, EventSearch::Standing standing) const;
-  bool GoOnAfterAccumulation(double time, int mode, int guard, const std::string& why);
+  std::string ReasonRepeatedEvent(int guard, EventSearch::GuardStatus standing) const;
+  bool ContinueAfterAccumulation(double time, int mode, int guard, const std::string& why);
   bool UpdateSlope();
   void UpdateGuards();
   double Elapsed(double time) const;
@@ -126,11 +126,11 @@ class RolloutRun {
   TapeEntry& Record(TapeEntry::Kind kind, double h);
   bool Refuse(const std::string& what);
   bool FailAt(const FlowStep& step);
-  std::string Where() const;
-  std::string Named(int mode, int guard) const;
-  std::string WaysOn(int mode, int guard) const;
+  std::string DescribeTime() const;
+  std::string QualifiedGuardName(int mode, int guard) const;
+  std::string DescribeContinuations(int mode, int guard) const;
   void Remark(const std::string& what, const std::string& where = "");
-  AtStart DependenceOf(int guard) const;
+  StartDependence DependenceOf(int guard) const;
   void RemarkOnStart(const std::vector<int>& guards, bool first);
   void Finish();
 
@@ -140,7 +140,7 @@ class RolloutRun {
   EventSearch search_;
   const HybridInput* input_ = nullptr;
   int interval_ = 0;
-  At at_;
+  ModeState at_;
   std::vector<double> next_state_, next_slope_, state_within_;
   std::vector<GuardValue> next_guards_;
   MotionTape tape_;
@@ -152,7 +152,7 @@ class RolloutRun {
   Unresolved unresolved_;
   std::string why_;
   std::vector<TimedRemark> remarks_;
-  std::vector<AtStart> at_start_;
+  std::vector<StartDependence> at_start_;
   std::optional<double> accumulation_;
   int accumulations_at_once_ = 0;  // at the time of the last one, before it
   RolloutEnd end_ = RolloutEnd::kDone;

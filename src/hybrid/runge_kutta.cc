@@ -68,7 +68,7 @@ void RungeKutta::Linearize(const FlowStep& step) {
   functions_.ProjectJacobian(at, on, projection_.data());
 }
 
-void RungeKutta::ByLength(double* derivative) const {
+void RungeKutta::LengthDerivative(double* derivative) const {
   if (flies_) {
     std::copy_n(slopes_.data(), size_, derivative);
     return;
@@ -130,7 +130,7 @@ void RungeKutta::PullBack(const FlowStep& step, const double* after, StepCotange
     for (int j = 0; j < num_controls_; ++j) out->u[j] += by[size_ + 1 + num_parameters_ + j];
     return;
   }
-  WithSize(size_, [&](auto size) {
+  DispatchSize(size_, [&](auto size) {
     const int n = size > 0 ? size : size_, columns = size_ + 1 + num_parameters_ + num_controls_;
     const auto multiply = [&](int stage, const double* of_slope, double* of_stage) {
       const double* jacobian = &jacobians_[static_cast<std::size_t>(stage) * n * columns];

@@ -34,10 +34,10 @@ inline constexpr std::array<Row, kStages> kColumns = MakeColumns();
 
 // Calls function(size) with the size of the state as a constant if it is small, else with 0.
 template <int kFrom = 1, typename Function>
-void WithSize(int size, const Function& function) {
+void DispatchSize(int size, const Function& function) {
   constexpr int kMost = 6;
   if (size == kFrom) return function(std::integral_constant<int, kFrom>());
-  if constexpr (kFrom < kMost) return WithSize<kFrom + 1>(size, function);
+  if constexpr (kFrom < kMost) return DispatchSize<kFrom + 1>(size, function);
   function(std::integral_constant<int, 0>());
 }
 
@@ -47,7 +47,7 @@ template <typename Flow>
 void EvaluateStep(int size, const FlowStep& step, const Flow& flow, const double* slope, double* scratch, double* after,
                   double* slope_after) {
   using namespace cooper_verner;
-  WithSize(size, [&](auto known) {
+  DispatchSize(size, [&](auto known) {
     if constexpr (known > 0) return EvaluateStep<known>(step, flow, slope, after, slope_after);
     double *slopes = scratch, *stage = scratch + kStages * size;
     std::copy_n(slope, size, slopes);
@@ -63,7 +63,7 @@ template <typename FlowJacobian>
 void LinearizeStep(int size, const FlowStep& step, std::size_t stride, const FlowJacobian& flow, double* scratch,
                    double* slopes, double* jacobians) {
   using namespace cooper_verner;
-  WithSize(size, [&](auto known) {
+  DispatchSize(size, [&](auto known) {
     if constexpr (known > 0) return LinearizeStep<known>(step, stride, flow, slopes, jacobians);
     for (int i = 0; i < kStages; ++i) {
       CombineSlopes(i, size, step.h, step.x, slopes, scratch);
@@ -129,7 +129,7 @@ class RungeKutta {
   // Evaluates the stages of a step with their Jacobians; the functions below are of that step.
   void Linearize(const FlowStep& step);
   // The derivative of x' by h, of a step that is not projected.
-  void ByLength(double* derivative) const;
+  void LengthDerivative(double* derivative) const;
   // Whether all derivatives that Linearize has evaluated are finite. If not, finds the first of a stage (0 for a closed
   // form) that is none: of a component by [x t p u]; the component is -1 for one of the projection.
   bool IsFinite(int* stage, int* component, int* column) const;

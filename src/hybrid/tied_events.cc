@@ -47,14 +47,15 @@ bool TiedEvents::SlopeAt(const ModePoint& at, std::vector<double>* slope) const 
 bool TiedEvents::FindCandidates(const FlowStep& at, const double* slope, double elapsed) {
   candidates_.clear();
   search_.Forget();
-  search_.Enter(at);
+  search_.EnterMode(at);
   functions_.GuardRates(at, slope, values_.data());
   for (int guard = 0; guard < system_.num_guards(at.mode); ++guard) {
     const GuardValue& value = values_[guard];
     if (!std::isfinite(value.value)) return false;
-    const Standing standing = search_.Classify(at, slope, guard, value, elapsed);
-    if (standing == Standing::kArmed) continue;
-    const bool waits = standing == Standing::kBehind && value.rate >= 0 && functions_.WaitsBehind(at.mode, guard);
+    const GuardStatus standing = search_.Classify(at, slope, guard, value, elapsed);
+    if (standing == GuardStatus::kArmed) continue;
+    const bool waits =
+        standing == GuardStatus::kBehind && value.rate >= 0 && functions_.RearmsAboveZero(at.mode, guard);
     if (!waits) candidates_.push_back({guard, value.rate, standing});
   }
   return true;
@@ -65,7 +66,7 @@ int TiedEvents::ModeAtRest(const FlowStep& at, const Candidate& candidate) const
   if (mode < 0 || mode >= system_.num_modes() || system_.state_size(mode) != n) return -1;
   const bool repeats = std::ranges::any_of(happened_, [&](const Event& event) {
     return event.mode == at.mode && event.guard == candidate.guard &&
-           (candidate.standing == Standing::kSinking || std::equal(event.x.begin(), event.x.end(), at.x));
+           (candidate.standing == GuardStatus::kSinking || std::equal(event.x.begin(), event.x.end(), at.x));
   });
   return repeats ? mode : -1;
 }
@@ -79,11 +80,11 @@ bool TiedEvents::Order(const Start& start, const std::function<int(int)>& choose
   const std::size_t limit = static_cast<std::size_t>(options_.most_repeats) * start.guards.size();
   for (std::size_t count = 0; count <= limit; ++count) {
     Candidate chosen;
-    const auto behind = [](const Candidate& candidate) { return candidate.standing == Standing::kBehind; };
+    const auto behind = [](const Candidate& candidate) { return candidate.standing == GuardStatus::kBehind; };
     if (const auto found = std::ranges::find_if(candidates_, behind); found != candidates_.end()) {
       chosen = *found;
     } else {
-      std::erase_if(candidates_, [](const Candidate& candidate) { return candidate.standing == Standing::kRising; });
+      std::erase_if(candidates_, [](const Candidate& candidate) { return candidate.standing == GuardStatus::kRising; });
       if (candidates_.empty()) {
         *mode = at.mode;
         return true;
@@ -157,9 +158,9 @@ bool TiedEvents::Bounces(const FlowStep& at, int guard, const Direction& directi
   using Vector = Eigen::VectorXd;
   const int n = system_.state_size(at.mode);
   const Eigen::Map<const Vector> x(at.x, n), slope(slope_.data(), n), p(at.p, direction.p.size());
-  const double rate = search_.At(at, slope_.data(), guard).rate;
+  const double rate = search_.GuardAt(at, slope_.data(), guard).rate;
   const double acceleration =
-      (search_.After(at, slope_.data(), guard, kPartOfStep * at.h).rate - rate) / (kPartOfStep * at.h);
+      (search_.GuardAfter(at, slope_.data(), guard, kPartOfStep * at.h).rate - rate) / (kPartOfStep * at.h);
   const Vector change = direction.x + slope * now;
   const double part = kPartOfState * (1 + x.norm() + p.norm()) / (1 + change.norm() + direction.p.norm());
   const Vector moved = x + part * change, moved_p = p + part * direction.p;
@@ -168,7 +169,7 @@ bool TiedEvents::Bounces(const FlowStep& at, int guard, const Direction& directi
   near.p = moved_p.data();
   std::vector<double> of_near(n), of_rest;
   functions_.Flow(near, of_near.data());
-  const double rises = (search_.At(near, of_near.data(), guard).rate - rate) / part;
+  const double rises = (search_.GuardAt(near, of_near.data(), guard).rate - rate) / part;
   FlowStep resting = at;
   resting.mode = rest;
   if (!SlopeAt(resting, &of_rest)) return true;
@@ -201,7 +202,7 @@ std::optional<TiedEvents::Outcome> TiedEvents::Follow(const Start& start, Direct
     }
     const Eigen::Map<const Vector> slope(slope_.data(), n);
     int guard = -1, rest = -1;
-    bool at_once = false;
+    bool immediate = false;
     double time = 0, time_size = 0;
     for (const Candidate& candidate : candidates_) {
       functions_.GuardGradient(at, candidate.guard, gradient_.data());
@@ -211,35 +212,35 @@ std::optional<TiedEvents::Outcome> TiedEvents::Follow(const Start& start, Direct
       const double value = by_x.dot(change) + by_p.dot(direction.p) + by_u.dot(u);
       const double value_size =
           by_x.cwiseAbs().dot(size) + by_p.cwiseAbs().dot(direction.p.cwiseAbs()) + by_u.cwiseAbs().dot(u.cwiseAbs());
-      bool behind = candidate.standing == Standing::kBehind;
+      bool behind = candidate.standing == GuardStatus::kBehind;
       if (!behind && !happened_.empty()) {
         behind = value + rate * now < -kSameChange * (value_size + std::abs(rate) * now_size);
-        if (behind && rate >= 0 && functions_.WaitsBehind(at.mode, candidate.guard)) behind = false;
+        if (behind && rate >= 0 && functions_.RearmsAboveZero(at.mode, candidate.guard)) behind = false;
       }
       if (!behind) {
-        if (candidate.standing == Standing::kRising) continue;
+        if (candidate.standing == GuardStatus::kRising) continue;
         if (const int mode = ModeAtRest(at, candidate); mode >= 0) {
           rest = mode;
-          if (candidate.standing == Standing::kSinking && Bounces(at, candidate.guard, direction, now, mode)) {
+          if (candidate.standing == GuardStatus::kSinking && Bounces(at, candidate.guard, direction, now, mode)) {
             return std::nullopt;
           }
           continue;
         }
-        if (candidate.standing == Standing::kSinking) return std::nullopt;
+        if (candidate.standing == GuardStatus::kSinking) return std::nullopt;
         if (!(rate < 0)) continue;  // under another control it does not fall
       }
       const double then = behind ? now : -value / rate;
-      if (guard >= 0 && (at_once || (!behind && then >= time))) continue;
+      if (guard >= 0 && (immediate || (!behind && then >= time))) continue;
       guard = candidate.guard;
-      at_once = behind;
+      immediate = behind;
       time = then;
       time_size = behind ? now_size : value_size / std::abs(rate);
     }
-    if (direction.next_control != nullptr && (guard < 0 || (!at_once && direction.jump < time))) {
+    if (direction.next_control != nullptr && (guard < 0 || (!immediate && direction.jump < time))) {
       const Vector before = slope;
       at.u = std::exchange(direction.next_control, nullptr);
       u = direction.next_u;
-      if (functions_.ModeUnder(at) != at.mode || !SlopeAt(at, &slope_)) return std::nullopt;
+      if (functions_.ModeAfterControlJump(at) != at.mode || !SlopeAt(at, &slope_)) return std::nullopt;
       const Vector jumps = before - Eigen::Map<const Vector>(slope_.data(), n);
       change += jumps * direction.jump;
       size += jumps.cwiseAbs() * std::abs(direction.jump);

@@ -54,11 +54,11 @@ class TiedEvents {
   static bool SameStates(const double* a, const double* b, int size);
 
  private:
-  using Standing = EventSearch::Standing;
+  using GuardStatus = EventSearch::GuardStatus;
   struct Candidate {
     int guard = 0;
     double rate = 0;
-    Standing standing = Standing::kFalling;
+    GuardStatus standing = GuardStatus::kFalling;
   };
   // The mode in which the motion goes on in place of an event, as events of the guard accumulate: it has had one with
   // the same state, or one after which it is at zero with a rate of zero. -1 if it has not, or the system names none.

@@ -69,7 +69,7 @@ class FitModel {
   virtual std::string SigmaToText(double sigma) const = 0;
   // Return what may lack an effect, and what to check where no parameters explain the samples.
   virtual std::string Subject() const = 0;
-  virtual std::string WhatToCheck() const = 0;
+  virtual std::string SuggestChecks() const = 0;
   // Adds what was learned beside the unknowns, whose values and covariance are given; that is empty if there is none.
   virtual void AddLearned(const std::vector<Segment>& /*segments*/, const std::vector<double>& /*values*/,
                           const Eigen::MatrixXd& /*covariance*/, IdentifyReport* /*report*/) const {}
@@ -148,7 +148,7 @@ struct FitRequest {
   std::vector<Segment> segments;
 };
 // Returns the first option that is out of range, with what was expected; empty if there is none.
-std::string WhatIsWrongWith(const IdentifyOptions& options);
+std::string Validate(const IdentifyOptions& options);
 // Fits from several starts, and judges the best fit (identify.h). `length` is the length of the motion in the unit of
 // sigma, from which its estimates start.
 IdentifyReport IdentifyBy(const std::shared_ptr<FitModel>& model, double length);

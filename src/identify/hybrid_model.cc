@@ -34,7 +34,7 @@ class HybridModel final : public FitModel {
   }
 
   std::string Prepare(FitRequest* request) override {
-    if (std::string wrong = WhatIsWrong(); !wrong.empty()) return wrong;
+    if (std::string wrong = ValidateRequest(); !wrong.empty()) return wrong;
     request->problem.options = options_;
     states_sigma_ = request->problem.states_sigma = experiments_[0].given.data[0].states_sigma;
     for (const HybridUnknown& unknown : unknowns_) request->problem.unknowns.push_back(UnknownOf(unknown));
@@ -85,7 +85,7 @@ class HybridModel final : public FitModel {
     Matrix jacobian(with_derivatives ? shooting.num_residuals() : 0, std::ssize(z));
     motion.ok = shooting.EvaluateResiduals(z, found.data(), with_derivatives ? jacobian.data() : nullptr);
     if (!motion.ok) {
-      motion.reason = at.given.name + ": " + shooting.WhyFailed();
+      motion.reason = at.given.name + ": " + shooting.FailureReason();
       return motion;
     }
     for (int i = 0; i < segment.last; ++i) {
@@ -116,7 +116,7 @@ class HybridModel final : public FitModel {
     return text;
   }
   std::string Subject() const override { return "system"; }
-  std::string WhatToCheck() const override {
+  std::string SuggestChecks() const override {
     return "the flow, guards and resets of the system, and the numbers that are not fitted";
   }
 
@@ -147,7 +147,7 @@ class HybridModel final : public FitModel {
     return (unknown.is_initial ? input->initial : input->parameters)[unknown.index];
   }
 
-  std::string WhatIsWrong() const {
+  std::string ValidateRequest() const {
     if (experiments_.empty()) return "found no experiments, expected at least one";
     if (unknowns_.empty()) return "found nothing that is unknown, expected names of parameters or initial states";
     for (const HybridUnknown& unknown : unknowns_) {
@@ -157,7 +157,7 @@ class HybridModel final : public FitModel {
     }
     const bool states_sigma = !experiments_[0].given.data.empty() && experiments_[0].given.data[0].states_sigma;
     for (const Experiment& at : experiments_) {
-      if (std::string wrong = WhatIsWrongWith(at.given, states_sigma); !wrong.empty()) {
+      if (std::string wrong = Validate(at.given, states_sigma); !wrong.empty()) {
         return at.given.name + ": " + wrong;
       }
     }
@@ -167,20 +167,20 @@ class HybridModel final : public FitModel {
       return unknown.name + ": found the start " + ToText(start, 6) + " with the bounds " + ToText(unknown.min, 6) +
              " and " + ToText(unknown.max, 6) + ", expected one between them";
     }
-    return saltus::WhatIsWrongWith(options_);
+    return saltus::Validate(options_);
   }
 
-  static std::string WhatIsWrongWith(const HybridExperiment& given, bool states_sigma) {
-    if (std::string wrong = saltus::WhatIsWrongWith(given.problem); !wrong.empty()) return wrong;
+  static std::string Validate(const HybridExperiment& given, bool states_sigma) {
+    if (std::string wrong = saltus::Validate(given.problem); !wrong.empty()) return wrong;
     if (given.data.empty()) return "found no data, expected at least one number that was measured";
     std::ptrdiff_t rows = 0;
     for (const HybridTerm& term : given.problem.terms) {
-      const bool at_one_place =
-          term.at == HybridTerm::At::kEnd || (term.at == HybridTerm::At::kEvent ? term.occurrence : term.interval) >= 0;
+      const bool at_one_place = term.at == HybridTerm::Timing::kEnd ||
+                                (term.at == HybridTerm::Timing::kEvent ? term.occurrence : term.interval) >= 0;
       if (!term.IsCost() || !at_one_place) {
         return term.name + ": found a term that is a constraint or counts at several places, expected measured numbers";
       }
-      const bool in_interval = term.at == HybridTerm::At::kEachInterval;
+      const bool in_interval = term.at == HybridTerm::Timing::kEachInterval;
       bool in_all_modes = !in_interval || term.mode < 0;
       for (int mode = 0; in_interval && term.with_state && mode < given.problem.system.num_modes(); ++mode) {
         in_all_modes &= given.problem.system.state_size(mode) == term.function->parameter_block_sizes()[0];

@@ -108,7 +108,7 @@ class Identification {
   }
 
   // With the samples up to a share of each segment's.
-  FitPoint UpTo(double share, FitPoint point) const {
+  FitPoint TruncateSamples(double share, FitPoint point) const {
     for (std::size_t s = 0; s < segments_.size(); ++s) {
       const int count = segments_[s].last - segments_[s].first;
       point.segments[s].last = segments_[s].first + std::max(1, static_cast<int>(std::ceil(share * count)));
@@ -135,7 +135,7 @@ class Identification {
     for (const double share : kHorizons) {
       at_work_ = name + ", " + std::to_string(static_cast<int>(std::lround(100 * share))) + " % of the samples";
       const double scale = problem_.options.loss_scale * (share < 1 ? kWideLoss : 1);
-      FitResult next = MinimizeFrom(problem_, UpTo(share, fit.point), scale, held, kGainOfSearch);
+      FitResult next = MinimizeFrom(problem_, TruncateSamples(share, fit.point), scale, held, kGainOfSearch);
       Count(next);
       if (!next.ok) return next;
       fit = std::move(next);
@@ -178,7 +178,7 @@ class Identification {
     for (int number = 0; number < kScreened && !Interrupted(); ++number) {
       for (int kind = 0; kind < problem_.model->num_start_kinds(); ++kind) {
         FitPoint point = StartAt(number, kind);
-        const auto [miss, contacts] = MissOf(point);
+        const auto [miss, contacts] = SumOfMisfits(point);
         if (std::isfinite(miss)) starts[contacts].emplace_back(miss, std::move(point));
       }
     }
@@ -215,7 +215,7 @@ class Identification {
 
   // The sum of the distances of all samples from the motion, in sigmas, and its number of contacts; infinite if there
   // is none.
-  std::pair<double, std::size_t> MissOf(const FitPoint& point) const {
+  std::pair<double, std::size_t> SumOfMisfits(const FitPoint& point) const {
     FitResult at;
     std::size_t contacts = 0;
     at.point = point;
@@ -251,7 +251,7 @@ class Identification {
     std::set<std::string> sequences;
     const int starts = problem_.num_plain() > 0 ? problem_.options.starts : 1;  // which differ in these unknowns only
     const int kinds_in_turn = std::min(3, problem_.model->num_start_kinds());
-    const bool few = NumbersLeft() < kManyLeft;
+    const bool few = DegreesOfFreedom() < kManyLeft;
     // The first part of many samples shows where a motion begins, unless there are many outliers in it.
     const int first_screened = few ? 1 : (starts + 1) / 2;
     std::vector<FitPoint> screened;
@@ -290,14 +290,14 @@ class Identification {
 
   // Whether so many of many samples are outliers, by a stated sigma, that this or the model is wrong.
   bool OutliersAreMost(const FitResult& fit) const {
-    return problem_.states_sigma && NumbersLeft() >= kFewLeft && OutlierShareOf(problem_, fit) > kTooMany;
+    return problem_.states_sigma && DegreesOfFreedom() >= kFewLeft && OutlierShareOf(problem_, fit) > kTooMany;
   }
 
   // Whether more numbers were measured than are unknown. Otherwise a motion can pass through all samples, and nothing
   // shows how much noise they have.
-  bool HasResiduals() const { return NumbersLeft() > 0; }
+  bool HasResiduals() const { return DegreesOfFreedom() > 0; }
   // Returns the number of measured numbers less that of unknown ones.
-  int NumbersLeft() const {
+  int DegreesOfFreedom() const {
     Eigen::Index measured = 0;
     for (const FitProblem::Recording& recording : problem_.recordings) {
       for (const FitSample& sample : recording.samples) measured += sample.size();
@@ -351,14 +351,14 @@ class Identification {
   FitResult Polish(FitResult fit) {
     at_work_ = "confidence";
     fit = EstimateSigma(std::move(fit));
-    if (problem_.options.loss != RobustLoss::kNone && NumbersLeft() >= kFewLeft &&
+    if (problem_.options.loss != RobustLoss::kNone && DegreesOfFreedom() >= kFewLeft &&
         OutlierShareOf(problem_, fit) >= kFewOutliers) {
       FitResult rest = DropOutliers(fit);
       problem_.drops_outliers = !OutliersAreMost(rest);
       if (problem_.drops_outliers) fit = std::move(rest);
     }
     open_ = FindOpenUnknowns(problem_, fit, problem_.options.loss_scale);
-    too_few_ = WhyTooFew(fit);  // before unknowns are held, which then take no number of the samples
+    too_few_ = ReasonTooFewSamples(fit);  // before unknowns are held, which then take no number of the samples
     if ((!problem_.states_sigma && !HasResiduals()) || !too_few_.empty()) {
       open_.determination.assign(open_.determination.size(), Determination::kUndetermined);
     }
@@ -377,8 +377,8 @@ class Identification {
   }
 
   // Returns the reason why the samples are too few to determine the error of a fit; empty if they are not.
-  std::string WhyTooFew(const FitResult& fit) const {
-    const int left = NumbersLeft();
+  std::string ReasonTooFewSamples(const FitResult& fit) const {
+    const int left = DegreesOfFreedom();
     if (!HasResiduals() || left >= kManyLeft || OutliersAreMost(fit)) return "";
     const Confidence confidence = ConfidenceOf(problem_, fit, problem_.options.loss_scale);
     const std::string state = problem_.states_sigma ? "" : "state sigma, ";
@@ -409,8 +409,8 @@ class Identification {
 
   void Report(const FitResult& fit) {
     ReportEstimates(fit);
-    LeaveOpenWhatOthersDeny(fit);
-    LeaveOpenWhatIsFlat(fit);
+    MarkAmbiguousAsUndetermined(fit);
+    MarkFlatAsUndetermined(fit);
     problem_.model->AddLearned(
         fit.point.segments, problem_.ValuesAt(fit.point.coordinates), confidence_.covariance, &report_);
     ReportResiduals(fit);
@@ -454,7 +454,7 @@ class Identification {
     } else if (outliers >= kMostOutliers) {
       report_.verdict = FitVerdict::kNotJudged;
       report_.reason = FormatNumbers("%.0f %% of the samples are outliers, expected less than a third", 100 * outliers);
-    } else if (const std::string at_bound = AtBounds(); !problem_.states_sigma && !at_bound.empty()) {
+    } else if (const std::string at_bound = NamesAtBounds(); !problem_.states_sigma && !at_bound.empty()) {
       report_.verdict = FitVerdict::kNotJudged;
       report_.reason =
           at_bound + " is at its bound, and without a sigma it is open whether the samples allow that; state sigma";
@@ -473,7 +473,7 @@ class Identification {
     return runs.follow_each_other && counts;
   }
 
-  std::string AtBounds() const {
+  std::string NamesAtBounds() const {
     std::string names;
     for (const Estimate& estimate : report_.estimates) {
       if (estimate.determination != Determination::kAtBound) continue;
@@ -485,7 +485,7 @@ class Identification {
   // Returns the reason why no parameters explain the samples; empty if these may. Adds remarks on the residuals.
   std::string ContradictionOf(const FitResult& fit) {
     if (problem_.states_sigma) {
-      if (report_.misfit < kFarBelow && NumbersLeft() >= kFewLeft) {
+      if (report_.misfit < kFarBelow && DegreesOfFreedom() >= kFewLeft) {
         report_.remarks.push_back(
             FormatNumbers("residuals are only %.2g times the stated sigma, which makes the standard errors too large; "
                           "check the unit of sigma",
@@ -500,7 +500,7 @@ class Identification {
       return FormatNumbers("samples miss the motion by %.3g times their sigma, %.3g %% are outliers",
                            report_.misfit,
                            100 * share) +
-             (strays ? " that follow each other" : "") + "; check sigma, and " + problem_.model->WhatToCheck();
+             (strays ? " that follow each other" : "") + "; check sigma, and " + problem_.model->SuggestChecks();
     }
     const double extent = ExtentOf(problem_, fit), share = problem_.sigma / extent;
     const Runs runs = CountRuns(problem_, fit);
@@ -516,7 +516,7 @@ class Identification {
       report_.remarks.push_back(waves + "; the " + problem_.model->Subject() +
                                 " lacks an effect of the size of sigma, and the standard errors are too small");
     }
-    const std::string remedy = "; check the units, and " + problem_.model->WhatToCheck();
+    const std::string remedy = "; check the units, and " + problem_.model->SuggestChecks();
     if (!(share < kMostScatter)) {
       return scatter + FormatNumbers(", where less than %.0f %% is expected", 100 * kMostScatter) + remedy;
     }
@@ -572,8 +572,8 @@ class Identification {
 
   // Few samples may lie on several motions. A parameter is not determined if a motion of another start explains them
   // about as well, and has another value of it.
-  void LeaveOpenWhatOthersDeny(const FitResult& fit) {
-    if (Interrupted() || NumbersLeft() >= kManyLeft) return;
+  void MarkAmbiguousAsUndetermined(const FitResult& fit) {
+    if (Interrupted() || DegreesOfFreedom() >= kManyLeft) return;
     const double quantile = StudentQuantile(std::max(kFewestDegrees, confidence_.interval_degrees));
     const double most = fit.cost + kAsWell * quantile * quantile * confidence_.scatter / 2;
     for (const auto& [point, sigma] : others_) {
@@ -607,7 +607,7 @@ class Identification {
   // An interval follows from derivatives at the minimum. Where the motion changes there, as that of a disc that lies on
   // the ground without gravity, these are of one side, and the cost may be flat on the other. A parameter is not
   // determined if a motion with the value at an end of its interval explains the samples as well.
-  void LeaveOpenWhatIsFlat(const FitResult& fit) {
+  void MarkFlatAsUndetermined(const FitResult& fit) {
     const double quantile = StudentQuantile(std::max(kFewestDegrees, confidence_.interval_degrees));
     const double most = fit.cost + kFlat * quantile * quantile * confidence_.scatter / 2;
     for (std::size_t u = 0; u < report_.estimates.size(); ++u) {
@@ -661,7 +661,7 @@ class Identification {
 
 }  // namespace
 
-std::string WhatIsWrongWith(const IdentifyOptions& options) {
+std::string Validate(const IdentifyOptions& options) {
   if (options.loss_scale > 0 && options.segment >= 0 && options.starts >= 1 && options.threads >= 0) return "";
   return "found an option out of range, expected loss_scale > 0, segment >= 0, starts >= 1";
 }

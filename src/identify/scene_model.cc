@@ -266,7 +266,7 @@ class SceneModel final : public FitModel {
   }
 
   std::string Prepare(FitRequest* request) override {
-    if (std::string why = WhyNot(); !why.empty()) return why;
+    if (std::string why = ValidateRequest(); !why.empty()) return why;
     for (const Unknown& unknown : unknowns_) {
       FitUnknown fit = UnknownOf(unknown, scene_);
       SetValue(unknown, fit.FromCoordinate(fit.ToCoordinate(fit.start)), &scene_);
@@ -293,7 +293,7 @@ class SceneModel final : public FitModel {
     request->problem.options = options_;
     request->problem.states_sigma = recordings_[0].samples[0].sigma > 0;
     request->segments = CutIntoSegments(recordings_, options_.segment);
-    return WhyNotMeasured(request->segments);
+    return ValidateMeasured(request->segments);
   }
 
   FitMotion Move(const std::vector<double>& values, const Segment& segment, bool with_derivatives) const override {
@@ -318,7 +318,7 @@ class SceneModel final : public FitModel {
   std::string SigmaToText(double sigma) const override { return FormatNumbers("%.3g m", sigma); }
   std::string Subject() const override { return "scene"; }
   // The parameters of contacts that are not fitted are named with their values.
-  std::string WhatToCheck() const override {
+  std::string SuggestChecks() const override {
     std::string held;
     for (const Kind kind : {Kind::kRestitution, Kind::kFriction}) {
       const Unknown parameter{.kind = kind};
@@ -339,14 +339,14 @@ class SceneModel final : public FitModel {
   }
 
  private:
-  std::string WhyNot() {
+  std::string ValidateRequest() {
     if (recordings_.empty()) return "found no recordings, expected at least one";
     for (Recording& recording : recordings_) {
       if (const auto error = CheckRecording(scene_, &recording)) return error->ToString();
     }
-    if (std::string wrong = WhatIsWrongWith(options_); !wrong.empty()) return wrong;
-    if (std::string why = WhyNotApplicable(contact_, scene_); !why.empty()) return why;
-    if (std::string wrong = WhatIsWrongWithTheLaw(); !wrong.empty()) return wrong;
+    if (std::string wrong = Validate(options_); !wrong.empty()) return wrong;
+    if (std::string why = ReasonNotApplicable(contact_, scene_); !why.empty()) return why;
+    if (std::string wrong = ValidateLaw(); !wrong.empty()) return wrong;
     if (scene_.Spins()) return "the scene has discs that spin, and recordings have no angles";
     if (scene_.HasPaths()) {
       return "the scene has prescribed motions, which begin at time 0: fit the scene as a hybrid system "
@@ -357,19 +357,19 @@ class SceneModel final : public FitModel {
     return any ? "" : "found nothing that is unknown";
   }
 
-  std::string WhatIsWrongWithTheLaw() const {
+  std::string ValidateLaw() const {
     if (!options_.law && !options_.events) return "";
     if (options_.law && options_.events) return "found a law of impact and event functions, expected one of them";
     const std::string name = options_.law ? "a law of impact" : "event functions";
     if (!scene_.materials.empty()) {
       return "found " + name + " in a scene with materials, expected one without: it is one law for all contacts";
     }
-    std::string wrong = options_.law ? WhatIsWrongWith(*options_.law) : WhatIsWrongWith(*options_.events, scene_);
+    std::string wrong = options_.law ? Validate(*options_.law) : Validate(*options_.events, scene_);
     if (!wrong.empty()) return wrong;
     if (contact_.name() != "event") {
       return "found " + name + " with the contact model " + contact_.name() + ", expected event";
     }
-    if (options_.events) wrong = WhyNotApplicable(LearnedContact(*options_.events), scene_);
+    if (options_.events) wrong = ReasonNotApplicable(LearnedContact(*options_.events), scene_);
     if (!wrong.empty()) return wrong;
     const bool friction = options_.events || options_.law->HasFriction();
     for (std::size_t u = 0; u < num_plain_; ++u) {
@@ -395,7 +395,7 @@ class SceneModel final : public FitModel {
     free_bodies_.assign(measured.begin(), measured.end());
   }
 
-  std::string WhyNotMeasured(const std::vector<Segment>& segments) const {
+  std::string ValidateMeasured(const std::vector<Segment>& segments) const {
     for (const Segment& segment : segments) {
       std::set<int> measured;
       for (int i = 0; i < segment.last - segment.first; ++i) measured.insert(SampleAt(segment, i).body);
@@ -491,7 +491,7 @@ class SceneModel final : public FitModel {
     const double middle = Median(std::move(sliding));
     for (int i = 0; i < kPoints; ++i) {
       const double speed = *slowest + (*fastest - *slowest) * i / (kPoints - 1);
-      const ImpactLawAt at = EvaluateLaw(learned.law, speed, middle);
+      const ImpactLawValues at = EvaluateLaw(learned.law, speed, middle);
       learned.curve.push_back({speed,
                                middle,
                                at.restitution,
@@ -509,7 +509,7 @@ class SceneModel final : public FitModel {
         const int body = impact.candidate.a, number = impact.candidate.b;
         const double radius = scene_.bodies[body].radius;
         const Vec2d &position = impact.position[0], &before = impact.velocity[0];
-        const EventAt at = EvaluateEvents(learned.functions, number, position, before, radius);
+        const EventValues at = EvaluateEvents(learned.functions, number, position, before, radius);
         const Plane& plane = scene_.planes[number];
         const double gap = plane.normal.normalized().dot(Vec2d(position - plane.point)) - radius;
         learned.impacts.push_back({static_cast<int>(s), body, number, position, before, at.after, at.normal, gap});

@@ -116,7 +116,7 @@ class Sweep {
     MotionAtSamples out;
     control_ = InitialControl(scene_, simulator_->num_steps());
     if (!simulator_->Rollout(segment_.initial, control_)) {
-      out.reason = simulator_->WhyFailed();
+      out.reason = simulator_->FailureReason();
       return out;
     }
     out.touches = simulator_->touches();
@@ -219,7 +219,7 @@ class Sweep {
       if (unknown.kind == Kind::kPosition) tangent_(unknown.body * size() + unknown.component, u) = 1;
     }
     FindPushes();
-    const auto flight = simulator_->FreeFlightOver(simulator_->step());
+    const auto flight = simulator_->FreeFlightOfLength(simulator_->step());
     if (flight) {
       free_ = flight->flight;
       return;
@@ -401,7 +401,7 @@ class Sweep {
     partial_length_ = left;
     partial_tangent_ = tangent_;
     simulator_->GetState(k, x_);
-    const std::optional<FlightOver> flight = IsTouched(k) ? std::nullopt : simulator_->FreeFlightOver(left);
+    const std::optional<VariableFreeFlight> flight = IsTouched(k) ? std::nullopt : simulator_->FreeFlightOfLength(left);
     if (flight) {
       FlyPartial(*flight, k);
       return;
@@ -419,7 +419,7 @@ class Sweep {
     Touch(simulators, k, &geometry, &partial_tangent_);
   }
 
-  void FlyPartial(const FlightOver& flight, int k) {
+  void FlyPartial(const VariableFreeFlight& flight, int k) {
     partial_state_ = x_;
     const Eigen::Matrix3d map = Power(flight.flight, 1);
     std::vector<double> force(2 * scene_.num_bodies());

@@ -27,13 +27,13 @@ namespace {
 
 constexpr double kAtLimit = 1e-6;  // of a limit of the speed: a speed so near is at it
 
-std::string WhyNotCertify(const Scene& scene, const ExactRun& exact) {
+std::string UnsupportedByCertificate(const Scene& scene, const ExactRun& exact) {
   if (scene.optimize != Optimize::kControl || scene.control.bodies.empty()) return "no control is optimized";
   if (scene.objective.effort == 0 && !scene.control.IsBounded()) {
     return "without a cost of effort forces and costates are not related";
   }
   if (!exact.ok) return exact.reason;
-  if (const std::string beyond = BeyondPlanes(scene); !beyond.empty()) {
+  if (const std::string beyond = NonPlaneGeometry(scene); !beyond.empty()) {
     return "the scene has " + beyond + "; the conditions are those of impacts of discs and planes";
   }
   if (!exact.only_impacts) return "discs rest on or graze each other or a plane; the conditions are those of impacts";
@@ -50,7 +50,7 @@ NearestPass NearestPassOf(const Scene& scene, const Flight& flight, const Candid
   constexpr double kGolden = 0.6180339887498949;
   const double contact_distance = MakeImpactConstants(scene, pair).contact_distance;
   const auto gap = [&](double time) {
-    return SeparationOf(scene, pair, flight.Before(time).p).distance / contact_distance - 1;
+    return SeparationOf(scene, pair, flight.StatesBefore(time).p).distance / contact_distance - 1;
   };
   NearestPass best{0, std::numeric_limits<double>::infinity()};
   double width = 0;
@@ -72,7 +72,7 @@ NearestPass NearestPassOf(const Scene& scene, const Flight& flight, const Candid
 }
 
 // Returns why a motion has no conditions: it is at the limit of a pair that must not touch.
-std::string WhyTooNear(const Scene& scene, const Flight& flight) {
+std::string ReasonAtContactLimit(const Scene& scene, const Flight& flight) {
   constexpr double kApart = 2e-4;  // of the contact distance
   for (const NoContact& pair : scene.no_contact) {
     if (NearestPassOf(scene, flight, {pair.a, pair.b, pair.plane}).gap > kApart) continue;
@@ -109,7 +109,7 @@ std::vector<ConstraintCertificate> ConstraintsOf(const Scene& scene, const std::
   }
   add_terminal(true);
   for (const SpeedLimit& limit : scene.objective.limits) {
-    if (limit.at != SpeedLimit::At::kEnd) continue;
+    if (limit.at != SpeedLimit::Timing::kEnd) continue;
     add(limit.body, TerminalTerm::Quantity::kVelocity, [&](const SceneConstraint& one) { return one.limit == &limit; });
     found.back().speed_limit = limit.max;
   }
@@ -117,7 +117,7 @@ std::vector<ConstraintCertificate> ConstraintsOf(const Scene& scene, const std::
   std::vector<double> times = {0.0};
   for (const double length : lengths) times.push_back(times.back() + length);
   for (const SceneConstraint& constraint : constraints) {
-    if (constraint.limit == nullptr || constraint.limit->at != SpeedLimit::At::kAlways) continue;
+    if (constraint.limit == nullptr || constraint.limit->at != SpeedLimit::Timing::kAlways) continue;
     std::map<int, Vec2d> at_node;
     for (const TermMultiplier& one : multipliers) {
       if (one.term != constraint.term) continue;
@@ -148,7 +148,7 @@ std::optional<Motion> MotionOf(const Scene& scene, const std::vector<double>& in
                                const std::vector<double>& control, const std::vector<double>& durations,
                                const StopRequest& stop, std::string* reason) {
   Motion motion{SimulateExactly(scene, initial, control, durations, stop), durations, scene, durations.empty()};
-  *reason = WhyNotCertify(scene, motion.exact);
+  *reason = UnsupportedByCertificate(scene, motion.exact);
   if (!reason->empty()) return std::nullopt;
   if (durations.empty()) {
     const size_t intervals = control.size() / scene.control_width();
@@ -181,10 +181,10 @@ void AddParameter(const Scene& scene, size_t i, double derivative, double size, 
 void DropSlackLimits(const Flight& flight, std::vector<SpeedLimit>* limits) {
   std::erase_if(*limits, [&](const SpeedLimit& limit) {
     const auto is_slow = [&](const Flight::Piece& piece) {
-      const auto speed = [&](double t) { return piece.After(limit.body, t).v.norm(); };
+      const auto speed = [&](double t) { return piece.StateAfter(limit.body, t).v.norm(); };
       return std::max(speed(0), speed(piece.duration)) < (1 - kAtLimit) * limit.max;
     };
-    return limit.at == SpeedLimit::At::kAlways && std::ranges::all_of(flight.pieces(), is_slow);
+    return limit.at == SpeedLimit::Timing::kAlways && std::ranges::all_of(flight.pieces(), is_slow);
   });
 }
 
@@ -193,9 +193,9 @@ Certificate CertifyAsHybrid(Motion motion, const std::vector<double>& initial, c
                             ConditionsOptions options) {
   Scene& scene = motion.scene;
   Certificate certificate;
-  if (const std::string beyond = BeyondBallistic(scene); beyond.empty()) {
+  if (const std::string beyond = NonBallisticForces(scene); beyond.empty()) {
     const Flight flight(scene, initial, control, motion.lengths, motion.exact);
-    if (certificate.reason = WhyTooNear(scene, flight); !certificate.reason.empty()) return certificate;
+    if (certificate.reason = ReasonAtContactLimit(scene, flight); !certificate.reason.empty()) return certificate;
     DropSlackLimits(flight, &scene.objective.limits);
   } else if (!scene.no_contact.empty()) {
     certificate.reason =
@@ -203,7 +203,7 @@ Certificate CertifyAsHybrid(Motion motion, const std::vector<double>& initial, c
     return certificate;
   }
   std::vector<SceneConstraint> constraints;
-  HybridProblem problem = HybridProblemOf(scene, &constraints);
+  HybridProblem problem = MakeHybridProblem(scene, &constraints);
   HybridProblem with_parameters = problem;
   problem.free.parameters.clear();  // whose derivatives are judged with the multipliers of the other conditions
   problem.free.parameters_min.clear();
@@ -305,7 +305,7 @@ Certificate CertifyDesign(const Scene& scene, const std::vector<double>& initial
   std::vector<double> costate(end.size());
   TerminalGradient(scene.objective, end, simulator->body_size(), costate);
   simulator->set_stop(stop);
-  if (!simulator->Rollout(initial, control)) return refuse(simulator->WhyFailed());
+  if (!simulator->Rollout(initial, control)) return refuse(simulator->FailureReason());
   Sensitivity all;
   simulator->Adjoint(costate, /*with_parameters=*/true, &all);
   // In natural units costates are about 1, but they vanish with a loss that reaches zero.
@@ -328,9 +328,9 @@ Certificate CertifyDesign(const Scene& scene, const std::vector<double>& initial
 Certificate Certify(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
                     const std::vector<double>& durations, const StopRequest& stop) {
   if (!scene.units.natural) {
-    const Scene natural = InNaturalUnits(scene);
+    const Scene natural = ToNaturalUnits(scene);
     const UnitFactors by(scene.units, natural.units);
-    return InUnits(Certify(natural,
+    return ToUnits(Certify(natural,
                            ConvertInitial(initial, scene.num_bodies(), scene.units, natural.units),
                            Multiplied(control, by.force),
                            Multiplied(durations, by.time),
@@ -349,7 +349,7 @@ Certificate Certify(const Scene& scene, const std::vector<double>& initial, cons
   return certificate;
 }
 
-Certificate InUnits(Certificate certificate, const Units& from, const Units& to) {
+Certificate ToUnits(Certificate certificate, const Units& from, const Units& to) {
   const UnitFactors by(from, to);
   for (ImpactCertificate& impact : certificate.impacts) {
     impact.time *= by.time;

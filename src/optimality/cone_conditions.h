@@ -113,7 +113,7 @@ class ConeConditions {
     }
     return largest;
   }
-  double Number(size_t i) const { return Left(numbers_[i], theta_); }
+  double Number(size_t i) const { return SlackAt(numbers_[i], theta_); }
   // Return force i and number i, as they were added, at theta.
   Vec2d Force(size_t i) const { return forces_[i].value + forces_[i].columns * theta_; }
   double Value(size_t i) const { return numbers_[i].value + numbers_[i].columns.dot(theta_.transpose()); }
@@ -158,7 +158,7 @@ class ConeConditions {
     return (sums.array() > 0).select(sums, 1.0);
   }
 
-  double Left(const Scalar& number, const Eigen::VectorXd& theta) const {
+  double SlackAt(const Scalar& number, const Eigen::VectorXd& theta) const {
     const double value = number.value + number.columns.dot(theta.transpose()) - number.allowed * margin_;
     return number.allowed * value > 0 ? 0.0 : value;
   }
@@ -177,7 +177,7 @@ class ConeConditions {
       row += 2;
     }
     for (const Scalar& number : numbers_) {
-      (*r)[row] = Left(number, theta);
+      (*r)[row] = SlackAt(number, theta);
       if (jacobian != nullptr && (*r)[row] != 0) jacobian->row(row) = number.columns;
       ++row;
     }

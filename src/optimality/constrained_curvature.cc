@@ -65,7 +65,7 @@ class LeastCurvatureSearch {
         equations_(equations),
         metric_(metric),
         of_unknowns_({hessian, metric, equations.transpose() * equations}),
-        of_all_(WithMultipliers({hessian, metric, equations.transpose() * equations}, equations)) {
+        of_all_(AddMultiplierColumns({hessian, metric, equations.transpose() * equations}, equations)) {
     cholesky_.analyzePattern(of_unknowns_.Sum({1, 1, 1}));
     ldlt_.analyzePattern(of_all_.Sum({1, 1, 1, 1}));
     VectorXd diagonal = metric_.diagonal();
@@ -140,7 +140,7 @@ class LeastCurvatureSearch {
   }
 
  private:
-  static std::vector<Sparse> WithMultipliers(std::vector<Sparse> summands, const Sparse& equations) {
+  static std::vector<Sparse> AddMultiplierColumns(std::vector<Sparse> summands, const Sparse& equations) {
     const Eigen::Index n = equations.cols(), m = equations.rows();
     std::vector<Eigen::Triplet<double>> entries;
     for (Eigen::Index column = 0; column < n; ++column) {

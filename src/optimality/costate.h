@@ -90,7 +90,8 @@ bool HmpSystem::Evaluate(const T* y, Path<T>* path, T* residuals) const {
     for (int side = 0; side < 2; ++side) {
       if (body[side] < 0 || scene.bodies[body[side]].fixed) continue;
       const int arc = event.arc_after[side];
-      after[side] = arc >= 0 ? internal::ArcCostate(scene, path->arcs[arc], false) : now[body[side]].At(event.time);
+      after[side] =
+          arc >= 0 ? internal::ArcCostate(scene, path->arcs[arc], false) : now[body[side]].CostateAt(event.time);
       y_gain += Scale(side == 0 ? law.inverse_mass_a : -law.inverse_mass_b, after[side].velocity);
       Vec2<T> push;
       if (arc >= 0) push = path->arcs[arc].AccelerationAtStart();

@@ -76,7 +76,7 @@ CostateShooting::CostateShooting(const Scene& scene, std::vector<Candidate> sequ
     impact_index_.push_back(num_unknowns_);
     num_unknowns_ += 2;
     for (int body : BodiesOf(c)) {
-      if (body < 0 || !Matters(body)) continue;
+      if (body < 0 || !HasCostate(body)) continue;
       num_unknowns_ += 4;
       sizes_.jumps += 4;
     }
@@ -124,7 +124,7 @@ std::vector<double> CostateShooting::Unknowns(const std::vector<Costate<double>>
     *at++ = times[k];
     *at++ = multipliers[k];
     for (int body : BodiesOf(sequence_[k])) {
-      if (body < 0 || !Matters(body)) continue;
+      if (body < 0 || !HasCostate(body)) continue;
       put(after_impact[k][body], at);
       at += 4;
     }
@@ -297,12 +297,12 @@ bool CostateShooting::Evaluate(const T* y, T* residuals, T* loss, std::vector<Le
     now[i].p = body.position.cast<T>();
     now[i].v = body.velocity.cast<T>();
     now[i].q = now[i].w = Vec2<T>(T(0.0), T(0.0));
-    if (!Matters(i)) continue;
+    if (!HasCostate(i)) continue;
     now[i].q = {y[index_[i]], y[index_[i] + 1]};
     now[i].w = {y[index_[i] + 2], y[index_[i] + 3]};
   }
   const auto fly_to = [&](int body, const T& time) {
-    if (!Matters(body)) return;
+    if (!HasCostate(body)) return;
     if constexpr (std::is_same_v<T, double>) {
       if (legs != nullptr) legs->push_back({body, since[body], now[body]});
     }
@@ -323,7 +323,7 @@ bool CostateShooting::Evaluate(const T* y, T* residuals, T* loss, std::vector<Le
   const auto pass_vias = [&](double until) {
     for (; next_via < vias.size() && scene_.objective.via[vias[next_via]].time <= until; ++next_via) {
       const ViaTerm& term = scene_.objective.via[vias[next_via]];
-      if (!Matters(term.body)) continue;
+      if (!HasCostate(term.body)) continue;
       fly_to(term.body, T(term.time));
       Flying<T>& x = now[term.body];
       const bool of_position = term.quantity == Quantity::kPosition;
@@ -368,7 +368,7 @@ bool CostateShooting::Evaluate(const T* y, T* residuals, T* loss, std::vector<Le
     *gap++ = apart.distance - law.contact_distance;
     T gained(0.0);
     for (int side = 0; side < 2; ++side) {
-      if (body[side] < 0 || !Matters(body[side])) continue;
+      if (body[side] < 0 || !HasCostate(body[side])) continue;
       after[side] = before[side];
       const double inverse_mass = side == 0 ? law.inverse_mass_a : -law.inverse_mass_b;
       after[side].v += Scale(inverse_mass, impact.impulse);
@@ -382,7 +382,7 @@ bool CostateShooting::Evaluate(const T* y, T* residuals, T* loss, std::vector<Le
     *hamiltonian++ = gained;
     const CostateGain<T> gain = ImpactAdjoint(law, impact, gain_of);
     for (int side = 0; side < 2; ++side) {
-      if (body[side] < 0 || !Matters(body[side])) continue;
+      if (body[side] < 0 || !HasCostate(body[side])) continue;
       const double sign = side == 0 ? 1 : -1;
       const Vec2<T> q = after[side].q + Scale(sign, Vec2<T>(gain.position + Scale(nu, impact.normal)));
       const Vec2<T> w = after[side].w + Scale(sign, gain.velocity);
@@ -395,7 +395,7 @@ bool CostateShooting::Evaluate(const T* y, T* residuals, T* loss, std::vector<Le
   T at_end(0.0);
   for (int i = 0; i < scene_.num_bodies(); ++i) {
     fly_to(i, duration);
-    if (!Matters(i)) continue;
+    if (!HasCostate(i)) continue;
     at_end += Hamiltonian(i, duration, now[i], false);
     Vec2<T> q = now[i].q, w = now[i].w;
     int index = 0;

@@ -77,7 +77,7 @@ class CostateShooting {
   Vec2d Hard(const double* y, int term) const { return {y[hard_index_ + 2 * term], y[hard_index_ + 2 * term + 1]}; }
 
  private:
-  bool Matters(int body) const { return index_[body] >= 0; }
+  bool HasCostate(int body) const { return index_[body] >= 0; }
   template <typename T>
   Vec2<T> ForceOf(int body, const Vec2<T>& lambda_v) const;
   // Moves state and costates of a disc from time `from` on by `length`, and adds the effort and the running terms of

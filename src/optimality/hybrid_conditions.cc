@@ -126,7 +126,7 @@ class ScaledRows final : public ceres::CostFunction {
 };
 
 // Adds the kind of a curvature: it is flat if it is nearly zero, or less than `rounding` times the largest.
-Curvature WithKind(const ConstrainedCurvature& found, double rounding) {
+Curvature ClassifyCurvature(const ConstrainedCurvature& found, double rounding) {
   constexpr double kNearlyZero = 1e-6;
   const double flat = kNearlyZero + rounding * found.largest;
   using enum Curvature::Kind;
@@ -204,7 +204,7 @@ class HybridConditions {
     for (const HybridShooting::TermAt& at : terms_) {
       VectorXd residuals;
       std::vector<Matrix> jacobians;
-      if (!at.term->IsCost() || !EvaluateBeside(at, 1, &residuals, &jacobians) || !residuals.allFinite()) continue;
+      if (!at.term->IsCost() || !EvaluateOnSide(at, 1, &residuals, &jacobians) || !residuals.allFinite()) continue;
       for (const double residual : residuals) sizes_.asked_loss += std::abs(at.term->LossOf(residual));
     }
     return sizes_;
@@ -222,7 +222,7 @@ class HybridConditions {
       for (const double part : {0.0, 1.0, -1.0}) {
         VectorXd residuals;
         std::vector<Matrix> jacobians;
-        if (!EvaluateBeside(at, part, &residuals, &jacobians)) continue;
+        if (!EvaluateOnSide(at, part, &residuals, &jacobians)) continue;
         for (size_t i = 0; i < sizes.size(); ++i) {
           const VectorXd by = (jacobians[i].cwiseAbs() * sizes[i].asDiagonal()).rowwise().maxCoeff();
           if (by.allFinite()) of_term = of_term.cwiseMax(by);
@@ -282,16 +282,16 @@ class HybridConditions {
     HybridShooting::Outcome outcome;
     bool moves = shooting_.Simulate(input_, &outcome);
     if (moves && HoldsAlways() != nullptr) {  // such constraints read the state after an event at an end of an interval
-      if (auto behind = WithNodesBeside(1, kSameNode * input_.duration, [](int) { return true; })) {
+      if (auto behind = ShiftNodes(1, kSameNode * input_.duration, [](int) { return true; })) {
         input_ = std::move(*behind);
         moves = shooting_.Simulate(input_, &outcome);
       }
     }
     if (!moves) {
-      result->reason = shooting_.WhyFailed();
+      result->reason = shooting_.FailureReason();
       return false;
     }
-    if (result->reason = WhyNot(); !result->reason.empty()) return false;
+    if (result->reason = ReasonNoConditions(); !result->reason.empty()) return false;
     for (const HybridTie& tie : simulator().ties()) {
       if (!tie.ambiguous) continue;
       result->verdict = Certificate::Verdict::kAmbiguous;
@@ -300,7 +300,7 @@ class HybridConditions {
       return false;
     }
     if (!shooting_.EvaluateTerms(&terms_)) {
-      result->reason = shooting_.WhyFailed();
+      result->reason = shooting_.FailureReason();
       return false;
     }
     if (outcome.violation <= kAtBound && IsZero()) {
@@ -320,7 +320,7 @@ class HybridConditions {
     for (int j = -1; j < num_multipliers(); ++j) {
       sweeps_.push_back(SweepOf(VectorXd::Unit(1 + num_all(), 1 + j)));
       if (sweeps_.back().IsFinite()) continue;
-      result->reason = "there are no finite costates: " + WhyNotFinite();
+      result->reason = "there are no finite costates: " + ReasonNotFinite();
       return false;
     }
     SetMultipliersOfSizes(VectorXd::Ones(num_multipliers()));
@@ -363,9 +363,9 @@ class HybridConditions {
     if (options_.name) options_.name(mode, guard, impact);
   }
 
-  std::string WhyNot() const {
+  std::string ReasonNoConditions() const {
     for (const HybridEvent& event : events()) {
-      if (event.at_once) return "guards have transitions at once; the conditions are those of events that take time";
+      if (event.immediate) return "guards have transitions at once; the conditions are those of events that take time";
     }
     const bool within = std::ranges::any_of(events(), [&](const HybridEvent& event) { return !IsAtNode(event.time); });
     if (HoldsAlways() != nullptr && within) {
@@ -427,7 +427,7 @@ class HybridConditions {
   // Returns the input with the ends of intervals that are within `near` of an event that counts moved to just behind it
   // (side 1) or before it (-1); std::nullopt if there are none.
   template <typename Counts>
-  std::optional<HybridInput> WithNodesBeside(int side, double near, const Counts& counts) const {
+  std::optional<HybridInput> ShiftNodes(int side, double near, const Counts& counts) const {
     std::vector<double> ends = input_.Times();
     bool any = false;
     for (int i = 0; i < num_events(); ++i) {
@@ -451,9 +451,9 @@ class HybridConditions {
   }
 
   // Says which derivative along the motion is not finite.
-  std::string WhyNotFinite() {
+  std::string ReasonNotFinite() {
     shooting_.simulator().Adjoint(std::vector<double>(simulator().final_state().size(), 1.0));
-    const std::string& why = simulator().WhyNotFinite();
+    const std::string& why = simulator().ReasonNotFinite();
     return why.empty() ? "they overflow" : why;
   }
 
@@ -473,7 +473,7 @@ class HybridConditions {
   }
 
   // Evaluates a term where all that it reads has changed by a part of its size. Returns false if it has no value there.
-  bool EvaluateBeside(const HybridShooting::TermAt& at, double part, VectorXd* residuals,
+  bool EvaluateOnSide(const HybridShooting::TermAt& at, double part, VectorXd* residuals,
                       std::vector<Matrix>* jacobians) const {
     const std::vector<VectorXd> sizes = SizesOfBlocks(at);
     std::vector<VectorXd> blocks;
@@ -537,7 +537,7 @@ class HybridConditions {
       const double length = k > 0 ? times_[k] - times_[k - 1] : times_[1];
       const bool at_node = std::abs(event.time - times_[k]) <= kAtNode * length;
       node_.push_back(at_node ? k : -1);
-      on_node_.push_back(at_node && !ControlGoesOnAt(k));
+      on_node_.push_back(at_node && !IsControlContinuous(k));
       const int interval = IntervalAt(event.time);
       interval_before_.push_back(at_node ? std::max(k - 1, 0) : interval);
       interval_after_.push_back(at_node ? std::min(k, input_.num_intervals - 1) : interval);
@@ -606,7 +606,7 @@ class HybridConditions {
   }
 
   // An active inequality of the control of one interval, and the at most two components that it reads.
-  struct OfInterval {
+  struct IntervalCone {
     int interval = 0;
     std::array<int, 2> components = {-1, -1};  // -1: there is no second one
     Eigen::Vector2d slope = Eigen::Vector2d::Zero();
@@ -619,7 +619,7 @@ class HybridConditions {
     std::vector<Constraint> with_sweep, with_cone;
     cone_of_.assign(input_.control.size(), -1);
     for (const Constraint& constraint : constraints_) {
-      const std::optional<OfInterval> cone = ConeOf(constraint);
+      const std::optional<IntervalCone> cone = ConeOf(constraint);
       const auto is_taken = [&](int c) { return c >= 0 && cone_of_[cone->interval * width() + c] >= 0; };
       if (!cone || std::ranges::any_of(cone->components, is_taken)) {
         with_sweep.push_back(constraint);
@@ -634,11 +634,11 @@ class HybridConditions {
     constraints_ = std::move(with_sweep);
     constraints_.insert(constraints_.end(), with_cone.begin(), with_cone.end());
   }
-  std::optional<OfInterval> ConeOf(const Constraint& constraint) const {
+  std::optional<IntervalCone> ConeOf(const Constraint& constraint) const {
     if (constraint.term < 0 || !constraint.inequality) return std::nullopt;
     const HybridShooting::TermAt& at = terms_[constraint.term];
     if (!ReadsControlAlone(*at.term) || !problem_.free.control) return std::nullopt;
-    OfInterval cone{.interval = at.interval};
+    IntervalCone cone{.interval = at.interval};
     int count = 0;
     for (int c = 0; c < width(); ++c) {
       const double slope = at.jacobians[0][constraint.row * width() + c];
@@ -1021,7 +1021,7 @@ class HybridConditions {
   };
   bool IsHeld(size_t constraint, const Directions& to) const { return !(to.with_weak && is_weak_[constraint]); }
   // Whether an inequality of one interval leaves a direction: bounds of its two components do not.
-  bool HasTangent(const OfInterval& one) const {
+  bool HasTangent(const IntervalCone& one) const {
     return std::ranges::all_of(one.components,
                                [&](int c) { return c >= 0 && SignOfControl(one.interval * width() + c) == 0; });
   }
@@ -1042,7 +1042,7 @@ class HybridConditions {
       const int cone = variable.kind == Kind::kControl ? cone_of_[variable.index] : -1;
       SparseRow row;
       if (cone >= 0 && IsHeld(constraints_.size() - of_interval_.size() + cone, to)) {
-        const OfInterval& one = of_interval_[cone];
+        const IntervalCone& one = of_interval_[cone];
         if (!HasTangent(one)) continue;
         if (tangents[cone].empty()) tangents[cone] = form->AddUnknown(SizeOfVariable(variable));
         const bool first = variable.index % width() == one.components[0];
@@ -1081,7 +1081,7 @@ class HybridConditions {
   double SizeOfVariable(const FreeVariable& variable) const {
     if (variable.kind == Kind::kControl) return sizes_.control[variable.index % width()];
     if (variable.kind == Kind::kParameter) return sizes_.parameters[variable.index];
-    return std::abs(variable.In(input_));
+    return std::abs(variable.Access(input_));
   }
 
   // Returns the derivative of a time in a phase by the unknowns.
@@ -1150,10 +1150,10 @@ class HybridConditions {
   std::optional<Curvature> CurvatureAlong(bool moving, bool with_weak) {
     const double near = 0.5 * kBeside * input_.duration;
     const auto moves = [&](int k) { return !on_node_[k]; };
-    if (moving || !WithNodesBeside(1, near, moves)) return FindCurvature(moving, with_weak);
+    if (moving || !ShiftNodes(1, near, moves)) return FindCurvature(moving, with_weak);
     std::optional<Curvature> least;
     for (const int side : {-1, 1}) {
-      const HybridInput input = *WithNodesBeside(side, near, moves);
+      const HybridInput input = *ShiftNodes(side, near, moves);
       HybridConditions beside(problem_, input, options_);
       Certificate ignored;
       if (!beside.Read(&ignored) || beside.num_all() != num_all()) return std::nullopt;
@@ -1192,13 +1192,14 @@ class HybridConditions {
     for (const FreeVariable& free : FreeVariables(problem_.free, width(), /*num_intervals=*/0)) {
       others.push_back(0);
       for (size_t i = 0; i < to.unbound.size(); ++i) {
-        if (to.unbound[i].kind == free.kind && to.unbound[i].index == free.index) others.back() = Along(*least, to, i);
+        if (to.unbound[i].kind == free.kind && to.unbound[i].index == free.index)
+          others.back() = CurvatureComponent(*least, to, i);
       }
       square += others.back() * others.back();
     }
     for (size_t i = 0; i < to.unbound.size(); ++i) {
       if (to.unbound[i].kind != Kind::kControl) continue;
-      const double change = Along(*least, to, i);
+      const double change = CurvatureComponent(*least, to, i);
       found.direction[to.unbound[i].index] = change;
       square += LengthOf(to.unbound[i].index / width()) * change * change;
     }
@@ -1209,10 +1210,10 @@ class HybridConditions {
     Eigen::Index most = 0;
     found.direction.cwiseAbs().maxCoeff(&most);
     if (found.direction[most] < 0) found.direction = -found.direction;
-    return WithKind(found, kRounding);
+    return ClassifyCurvature(found, kRounding);
   }
   // Returns the change of unbound variable i along the least direction.
-  static double Along(const ConstrainedCurvature& least, const Directions& to, size_t i) {
+  static double CurvatureComponent(const ConstrainedCurvature& least, const Directions& to, size_t i) {
     return to.variables[i][0].second * least.direction[to.variables[i][0].first];
   }
 
@@ -1522,7 +1523,7 @@ class HybridConditions {
     for (const FreeVariable& variable : FreeVariables(problem_.free, width(), input_.num_intervals)) {
       const bool of_control = variable.kind == Kind::kControl;
       if (of_control && LengthOf(variable.index / width()) <= kNoInterval * input_.duration) continue;
-      const auto sign = SignAt(variable.In(input_), variable.min, variable.max);
+      const auto sign = SignAt(variable.Access(input_), variable.min, variable.max);
       if (sign) variables_.emplace_back(variable, *sign);
     }
   }
@@ -1629,7 +1630,7 @@ class HybridConditions {
   // Adds the conditions of the intervals in which an inequality of the control alone is active.
   void AddCones(ConeConditions* conditions) {
     size_t count = 0;
-    for (OfInterval& one : of_interval_) {
+    for (IntervalCone& one : of_interval_) {
       const double length = LengthOf(one.interval);
       Vec2d value = Vec2d::Zero();
       Eigen::Matrix2Xd columns = Eigen::Matrix2Xd::Zero(2, num_multipliers());
@@ -1672,7 +1673,7 @@ class HybridConditions {
       if (at < num_multipliers()) {
         part = conditions.LargestColumn(at) * std::abs(theta_[at]);
       } else {
-        const OfInterval& one = of_interval_[at - num_multipliers()];
+        const IntervalCone& one = of_interval_[at - num_multipliers()];
         part = std::max(0.0, -conditions.Force(one.condition).dot(one.slope.normalized()));
         theta_[at] = part * one.size / one.slope.norm();
       }
@@ -1703,7 +1704,7 @@ class HybridConditions {
   }
 
   // Whether the control does not jump at the beginning of interval k: an event there is as one within an interval.
-  bool ControlGoesOnAt(int k) const {
+  bool IsControlContinuous(int k) const {
     if (k == 0 || k == input_.num_intervals) return false;
     const auto width = static_cast<std::ptrdiff_t>(system_.num_controls());
     const auto after = input_.control.begin() + k * width;
@@ -1832,7 +1833,7 @@ class HybridConditions {
         GuardUnderNextControl(k) > kOfGuard * GuardSize(k)) {
       return true;
     }
-    return shooting_.TermThatJumps(k, node_[k], std::abs(loss_)) != nullptr;
+    return shooting_.FindJumpingTerm(k, node_[k], std::abs(loss_)) != nullptr;
   }
 
   // Returns the multipliers with which the loss does not change as events move, whose intervals stay: as if those at
@@ -1915,14 +1916,14 @@ class HybridConditions {
   std::vector<HybridShooting::TermAt> terms_;
   std::vector<std::pair<FreeVariable, int>> variables_;  // that can move, each with its sign (SignAt)
   std::vector<Constraint> constraints_;
-  std::vector<OfInterval> of_interval_;  // the last of the constraints
-  std::vector<int> cone_of_;             // of each number of the control: the constraint of its interval, or -1
-  std::vector<Sweep> sweeps_;            // of the objective, and of each multiplier
-  VectorXd of_sizes_;                    // the multipliers that sizes are taken with
-  Sweep events_together_;                // of all events, with these multipliers
-  VectorXd theta_;                       // the multipliers, of all constraints
-  std::vector<bool> is_weak_;            // of each constraint: an inequality that does not press
-  std::vector<size_t> weak_variables_;   // places of variables_ at bounds that do not press
+  std::vector<IntervalCone> of_interval_;  // the last of the constraints
+  std::vector<int> cone_of_;               // of each number of the control: the constraint of its interval, or -1
+  std::vector<Sweep> sweeps_;              // of the objective, and of each multiplier
+  VectorXd of_sizes_;                      // the multipliers that sizes are taken with
+  Sweep events_together_;                  // of all events, with these multipliers
+  VectorXd theta_;                         // the multipliers, of all constraints
+  std::vector<bool> is_weak_;              // of each constraint: an inequality that does not press
+  std::vector<size_t> weak_variables_;     // places of variables_ at bounds that do not press
   MotionSizes sizes_;
   std::vector<bool> is_zero_;  // of each component of the control: all the time
   size_t num_conditions_ = 0;
@@ -1949,7 +1950,7 @@ std::optional<MotionSizes> SizesOf(const HybridProblem& problem, const HybridInp
   return HybridConditions(problem, input, {}).Sizes();
 }
 
-HybridProblem WithConstraintsOfOrderOne(HybridProblem problem, const HybridInput& input) {
+HybridProblem ScaleConstraints(HybridProblem problem, const HybridInput& input) {
   constexpr double kSmall = 0.1, kLarge = 500;
   if (std::ranges::all_of(problem.terms, &HybridTerm::IsCost)) return problem;
   std::vector<VectorXd> sizes;
@@ -1973,10 +1974,10 @@ HybridProblem WithConstraintsOfOrderOne(HybridProblem problem, const HybridInput
 
 Certificate Certify(const HybridProblem& given, const HybridInput& input) {
   Certificate wrong;
-  wrong.reason = WhatIsWrongWith(input, given.system);
+  wrong.reason = Validate(input, given.system);
   if (wrong.reason.empty() && input.begin != 0) wrong.reason = "the motion does not begin at time 0";
   if (!wrong.reason.empty()) return wrong;
-  const HybridProblem problem = WithConstraintsOfOrderOne(given, input);
+  const HybridProblem problem = ScaleConstraints(given, input);
   Certificate certificate = CertifyConditions(problem, input, {});
   const bool smooth = certificate.verdict != Certificate::Verdict::kNotApplicable &&
                       certificate.verdict != Certificate::Verdict::kNotStationary;

@@ -51,7 +51,7 @@ struct ConditionsOptions {
 std::shared_ptr<const ceres::CostFunction> WithFactors(std::shared_ptr<const ceres::CostFunction> function,
                                                        Eigen::VectorXd factors);
 
-// Certifies as Certify() does, without a look at kinks. Precondition: WhatIsWrongWith(input, problem.system) is empty,
+// Certifies as Certify() does, without a look at kinks. Precondition: Validate(input, problem.system) is empty,
 // and the motion begins at time 0.
 Certificate CertifyConditions(const HybridProblem& problem, const HybridInput& input, const ConditionsOptions& options);
 
@@ -77,6 +77,6 @@ std::optional<MotionSizes> SizesOf(const HybridProblem& problem, const HybridInp
 // Returns the problem with the rows of its constraints divided by their sizes, where these are not of order one: by how
 // much a row changes as what it reads changes by its size in the motion of the input. Without a motion, returns the
 // problem as it is.
-HybridProblem WithConstraintsOfOrderOne(HybridProblem problem, const HybridInput& input);
+HybridProblem ScaleConstraints(HybridProblem problem, const HybridInput& input);
 
 }  // namespace saltus

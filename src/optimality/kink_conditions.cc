@@ -58,7 +58,7 @@ class EventTimeRow final : public ceres::SizedCostFunction<1, 1> {
 class KinkCertifier {
  public:
   KinkCertifier(const HybridProblem& problem, const HybridInput& input)
-      : problem_(At(problem, input)),
+      : problem_(ReplaceGuess(problem, input)),
         input_(problem_.guess),
         functions_(problem_.system.functions()),
         shooting_(problem_),
@@ -80,7 +80,7 @@ class KinkCertifier {
       const std::string guard = problem_.system.GuardName(kink.mode, kink.guard);
       const std::string name = guard + (kink.strikes ? " at the final time" : " just touches");
       names += (names.empty() ? "" : ", ") + name;
-      const std::optional<std::string> less = WhyOtherSideIsLess(kink);
+      const std::optional<std::string> less = DescribeLowerSide(kink);
       if (!less) return {};
       if (less->empty()) continue;
       certificate.verdict = Certificate::Verdict::kNotStationary;
@@ -93,7 +93,7 @@ class KinkCertifier {
   }
 
  private:
-  static HybridProblem At(HybridProblem problem, const HybridInput& input) {
+  static HybridProblem ReplaceGuess(HybridProblem problem, const HybridInput& input) {
     problem.guess = input;
     if (problem.guess.control.empty()) {
       problem.guess.control.assign(static_cast<std::size_t>(input.num_intervals) * problem.system.num_controls(), 0.0);
@@ -102,9 +102,9 @@ class KinkCertifier {
     if (problem.integration.steps_per_interval == 0) {
       // The final state of a motion with an event at its end is not accurate, however many steps it has.
       HybridSimulator simulator(problem.system, problem.integration);
-      if (simulator.Rollout(Until(problem.guess, (1 - kOpen) * input.duration))) {
+      if (simulator.Rollout(TruncateInput(problem.guess, (1 - kOpen) * input.duration))) {
         problem.integration.steps_per_interval = simulator.steps_per_interval();
-        problem.integration.divided = simulator.divided();
+        problem.integration.divisions = simulator.divisions();
       }
     }
     return problem;
@@ -153,7 +153,7 @@ class KinkCertifier {
         const double rises = RateAfter(from, begin, length, guard, &at_end);
         const bool is_last = i + 1 == count;
         if (falls < 0 && rises >= 0) {
-          least.push_back(LeastWithin(from, begin, length, guard));
+          least.push_back(FindMinimum(from, begin, length, guard));
         } else if (is_last && rises < 0 && !has_end) {
           least.emplace_back(Kink{mode, guard, input_.duration + at_end / -rises, true, false}, at_end);
         }
@@ -174,7 +174,7 @@ class KinkCertifier {
   }
 
   // Halves a step in which a guard falls first and then rises.
-  std::pair<Kink, double> LeastWithin(const ModePoint& from, double begin, double length, int guard) {
+  std::pair<Kink, double> FindMinimum(const ModePoint& from, double begin, double length, int guard) {
     double low = 0, high = length, value = 0;
     for (int k = 0; k < kHalvings; ++k) {
       const double middle = 0.5 * (low + high);
@@ -186,7 +186,7 @@ class KinkCertifier {
   // ------------------------------------------------------------------------------------------------------------ sides
 
   // Returns the input until a time, to which the last interval is made longer if that is behind its end.
-  static HybridInput Until(HybridInput input, double time) {
+  static HybridInput TruncateInput(HybridInput input, double time) {
     std::vector<double> times = input.Times();
     times.back() = std::max(times.back(), time);
     const std::size_t width = input.control.size() / static_cast<std::size_t>(input.num_intervals);
@@ -220,7 +220,7 @@ class KinkCertifier {
       const bool has_event = kink.has_event != (&kink == other);
       if (has_event) {
         with = true;
-        HybridTerm term{.name = "kink", .at = HybridTerm::At::kEvent, .role = HybridTerm::Role::kInequality};
+        HybridTerm term{.name = "kink", .at = HybridTerm::Timing::kEvent, .role = HybridTerm::Role::kInequality};
         const std::string name = problem_.system.GuardName(kink.mode, kink.guard);
         const auto is_same = [&](const HybridEvent& event) {
           return problem_.system.GuardName(event.mode, event.guard) == name && event.time < kink.time;
@@ -228,12 +228,12 @@ class KinkCertifier {
         term.event = name;
         term.with_time = true;
         term.occurrence = static_cast<int>(std::ranges::count_if(shooting_.simulator().events(), is_same));
-        if (!kink.has_event) side.input = Until(input_, kink.time + kBefore * input_.duration);
+        if (!kink.has_event) side.input = TruncateInput(input_, kink.time + kBefore * input_.duration);
         term.function = std::make_shared<EventTimeRow>(side.input.duration);
         side.problem.terms.push_back(std::move(term));
       } else {
         without = true;
-        if (kink.has_event) side.input = Until(input_, kink.time - kBefore * input_.duration);
+        if (kink.has_event) side.input = TruncateInput(input_, kink.time - kBefore * input_.duration);
         side.touches.push_back({kink.mode, kink.guard, side.input.duration});
       }
     }
@@ -247,10 +247,10 @@ class KinkCertifier {
   }
 
   // Returns how the other side of a kink has a lower loss; empty if it has not; nothing if that cannot be computed.
-  std::optional<std::string> WhyOtherSideIsLess(const Kink& kink) {
+  std::optional<std::string> DescribeLowerSide(const Kink& kink) {
     HybridSimulator before(problem_.system, problem_.integration);
     const double time = std::min(kink.time, input_.duration) - (kink.strikes ? kBefore * input_.duration : 0);
-    if (!before.Rollout(Until(input_, time)) || before.final_mode() != kink.mode) return std::nullopt;
+    if (!before.Rollout(TruncateInput(input_, time)) || before.final_mode() != kink.mode) return std::nullopt;
     const std::vector<double> x(before.final_state().begin(), before.final_state().end());
     const ModePoint at = PointAt(kink.mode, time, x.data());
     std::vector<double> after(functions_.most_states());
@@ -317,13 +317,13 @@ class KinkCertifier {
     const VectorXd step = jump.normalized().cwiseProduct(sizes);
     const std::optional<std::vector<HybridTerm>> terms = TermsBehind(kink);
     if (!terms) return std::nullopt;
-    const auto loss = [&](double part) { return LossBehind(kink, *terms, next, x + part * step); };
+    const auto loss = [&](double part) { return LossAfterKink(kink, *terms, next, x + part * step); };
     const double slope = (loss(2 * kKick) - loss(kKick)) / kKick / std::abs(loss_);
     return std::isfinite(slope) ? std::optional(slope) : std::nullopt;
   }
 
   // Returns the control intervals that end before a kink.
-  int IntervalsBefore(const Kink& kink) const { return Until(input_, kink.time).num_intervals - 1; }
+  int IntervalsBefore(const Kink& kink) const { return TruncateInput(input_, kink.time).num_intervals - 1; }
 
   // Returns the terms of the Lagrangian behind a kink, whose intervals and events are numbered from there; what comes
   // before it does not change. Returns nothing if a term counts the event of the kink, or reads what lies on both of
@@ -339,13 +339,13 @@ class KinkCertifier {
     const auto add = [&](HybridTerm term) {
       if (term.with_initial) return false;
       if (term.always) return term.interval < IntervalsBefore(kink);
-      if (term.at == HybridTerm::At::kEvent) {
+      if (term.at == HybridTerm::Timing::kEvent) {
         if (term.CountsAt(functions_, kink.mode, kink.guard)) return false;
         const int before = count_before(term, kink.time);
         if (term.occurrence >= 0 && term.occurrence < before) return true;
         if (term.occurrence >= 0) term.occurrence -= before;
       }
-      if (term.at != HybridTerm::At::kEachInterval) {
+      if (term.at != HybridTerm::Timing::kEachInterval) {
         terms.push_back(std::move(term));
         return true;
       }
@@ -376,7 +376,7 @@ class KinkCertifier {
   }
 
   // Returns the sum of terms behind a kink from a state there; not a number without a motion.
-  double LossBehind(const Kink& kink, const std::vector<HybridTerm>& terms, int mode, const VectorXd& state) const {
+  double LossAfterKink(const Kink& kink, const std::vector<HybridTerm>& terms, int mode, const VectorXd& state) const {
     HybridProblem rest = problem_;
     rest.terms = terms;
     HybridInput input = input_;
@@ -418,8 +418,8 @@ Certificate CertifyKinks(const HybridProblem& problem, const HybridInput& input)
 }
 
 Certificate CertifyKinks(const Scene& scene, const std::vector<double>& control, const std::vector<double>& durations) {
-  if (!scene.design.empty() || !WhyNoHybridProblem(scene).empty()) return {};
-  const HybridProblem problem = HybridProblemOf(scene);
+  if (!scene.design.empty() || !UnsupportedByHybridProblem(scene).empty()) return {};
+  const HybridProblem problem = MakeHybridProblem(scene);
   HybridInput input = problem.guess;
   input.control = control;
   input.lengths = durations;

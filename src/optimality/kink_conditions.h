@@ -29,7 +29,7 @@ namespace saltus {
 Certificate CertifyKinks(const HybridProblem& problem, const HybridInput& input);
 
 // Certifies the kinks of a scene, as of the problem that it is. The verdict is kNotApplicable also for what
-// WhyNoHybridProblem() names (control/scene_problem.h). Precondition: the scene optimizes a control.
+// UnsupportedByHybridProblem() names (control/scene_problem.h). Precondition: the scene optimizes a control.
 Certificate CertifyKinks(const Scene& scene, const std::vector<double>& control, const std::vector<double>& durations);
 
 // Sets the names of an impact of a pair.

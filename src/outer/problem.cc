@@ -25,13 +25,13 @@ int IndexOf(const std::string& what, const std::string& name, int size, const Na
   throw std::invalid_argument(what + ": found '" + name + "', expected some of " + known);
 }
 
-HybridInput InItsMode(const MechanicalSystem& system, HybridInput guess) {
+HybridInput SetInitialMode(const MechanicalSystem& system, HybridInput guess) {
   if (guess.mode != 0) return guess;
-  Check(WhatIsWrongWith(guess, system.hybrid()));
+  Check(Validate(guess, system.hybrid()));
   std::vector<double> control(system.hybrid().num_controls());
   std::copy_n(guess.control.begin(), std::min(control.size(), guess.control.size()), control.begin());
   const MechanicalSystem::Start start = system.FindMode(guess.initial, control, guess.parameters, guess.begin);
-  if (start.mode < 0) Check(start.why);
+  if (start.mode < 0) Check(start.reason);
   guess.mode = start.mode;
   return guess;
 }
@@ -39,10 +39,10 @@ HybridInput InItsMode(const MechanicalSystem& system, HybridInput guess) {
 }  // namespace
 
 Problem::Problem(const MechanicalSystem& system, HybridInput guess)
-    : Problem(HybridProblem{system.hybrid(), InItsMode(system, std::move(guess))}) {}
+    : Problem(HybridProblem{system.hybrid(), SetInitialMode(system, std::move(guess))}) {}
 
 Problem::Problem(HybridProblem problem) : parts_(std::move(problem)) {
-  Check(WhatIsWrongWith(parts_));
+  Check(Validate(parts_));
   // Functions that read what is not there throw now, rather than within a solver.
   const HybridInput& guess = parts_.guess;
   std::vector<double> control(parts_.system.num_controls()), slope(guess.initial.size());
@@ -72,20 +72,20 @@ Problem& Problem::Free(const FreeVariables& free) {
     made.control_min.assign(system.num_controls(), -std::numeric_limits<double>::infinity());
     made.control_max.assign(system.num_controls(), std::numeric_limits<double>::infinity());
   }
-  for (const Bounded& bounded : free.controls) {
+  for (const BoundedVariable& bounded : free.controls) {
     const int i =
         IndexOf("controls", bounded.name, system.num_controls(), [&](int c) { return system.ControlName(c); });
     made.control_min[i] = bounded.min;
     made.control_max[i] = bounded.max;
   }
-  const auto add = [](const std::vector<Bounded>& from,
+  const auto add = [](const std::vector<BoundedVariable>& from,
                       const char* what,
                       int size,
                       const auto& name_of,
                       std::vector<int>* indices,
                       std::vector<double>* min,
                       std::vector<double>* max) {
-    for (const Bounded& bounded : from) {
+    for (const BoundedVariable& bounded : from) {
       indices->push_back(IndexOf(what, bounded.name, size, name_of));
       min->push_back(bounded.min);
       max->push_back(bounded.max);
@@ -114,7 +114,7 @@ Problem& Problem::Free(const FreeVariables& free) {
     made.duration_max = free.duration->max;
   }
   std::swap(parts_.free, made);
-  const std::string error = WhatIsWrongWith(parts_);
+  const std::string error = Validate(parts_);
   if (!error.empty()) std::swap(parts_.free, made);
   Check(error);
   return *this;
@@ -130,7 +130,7 @@ Problem::Shape Problem::ShapeOf(const Place& place, HybridTerm::Role role) const
           "parts().terms");
     }
   }
-  const bool each = place.at == HybridTerm::At::kEachInterval;
+  const bool each = place.at == HybridTerm::Timing::kEachInterval;
   const bool cost = role == HybridTerm::Role::kCost || role == HybridTerm::Role::kValue;
   return {.at = place.at,
           .states = states,
@@ -146,11 +146,11 @@ std::vector<int> Problem::BlocksOf(const Shape& shape) {
   if (shape.controls > 0) sizes.push_back(shape.controls);
   if (shape.parameters > 0) sizes.push_back(shape.parameters);
   sizes.push_back(1);
-  if (shape.at == HybridTerm::At::kEachInterval) sizes.push_back(1);
+  if (shape.at == HybridTerm::Timing::kEachInterval) sizes.push_back(1);
   return sizes;
 }
 
-void Problem::TryOut(const Shape& shape, const std::function<void(const double* const*)>& function) const {
+void Problem::EvaluateAtGuess(const Shape& shape, const std::function<void(const double* const*)>& function) const {
   const HybridInput& guess = parts_.guess;
   std::vector<double> control(shape.controls);
   if (!guess.control.empty()) control.assign(guess.control.begin(), guess.control.begin() + shape.controls);
@@ -170,19 +170,19 @@ void Problem::AddTerm(const Place& place, HybridTerm::Role role, const Shape& sh
                   .role = role,
                   .event = place.guard,
                   .before = place.before,
-                  .always = role == HybridTerm::Role::kInequality && place.at == HybridTerm::At::kEachInterval,
+                  .always = role == HybridTerm::Role::kInequality && place.at == HybridTerm::Timing::kEachInterval,
                   .with_state = true,
                   .with_control = shape.controls > 0,
                   .with_parameters = shape.parameters > 0,
                   .with_time = true,
-                  .with_length = place.at == HybridTerm::At::kEachInterval,
+                  .with_length = place.at == HybridTerm::Timing::kEachInterval,
                   .function = std::move(function)};
   AddTerm(std::move(term));
 }
 
 void Problem::AddTerm(HybridTerm term) {
   parts_.terms.push_back(std::move(term));
-  const std::string error = WhatIsWrongWith(parts_);
+  const std::string error = Validate(parts_);
   if (!error.empty()) parts_.terms.pop_back();
   Check(error);
 }

@@ -35,7 +35,7 @@ SolverOptions OptionsOf(const RunOptions& options) {
 // events have intervals of their own, and equalities that hold always are looked at often.
 constexpr int kLeastIntervals = 64;
 
-HybridProblem OnEnoughIntervals(HybridProblem problem) {
+HybridProblem AddControlIntervals(HybridProblem problem) {
   HybridInput& guess = problem.guess;
   if (problem.free.control || guess.num_intervals >= kLeastIntervals) return problem;
   const int parts = (kLeastIntervals + guess.num_intervals - 1) / guess.num_intervals;
@@ -73,7 +73,7 @@ double Run::operator[](const std::string& name) const {
 }
 
 Run Solve(const Problem& problem, const RunOptions& options) {
-  const HybridProblem parts = OnEnoughIntervals(problem.parts());
+  const HybridProblem parts = AddControlIntervals(problem.parts());
   if (parts.terms.empty()) throw std::invalid_argument("Solve: found a problem without terms, expected a cost");
   SolveReport report = Solve(options.solver, parts, OptionsOf(options));
   CheckTaken(report);
@@ -160,9 +160,9 @@ Scene Load(const std::string& path) {
 }
 
 GradientAudit AuditGradient(const Contact& contact, const Scene& scene, const AuditOptions& options) {
-  const std::string reason = WhyNotApplicable(contact, scene);
+  const std::string reason = ReasonNotApplicable(contact, scene);
   if (!reason.empty()) throw std::invalid_argument("AuditGradient: " + contact.name() + ": " + reason);
-  GradientAudit audit{.scene = scene, .report = {.reference = ExactGradientOf(scene, options.stop), .models = {}}};
+  GradientAudit audit{.scene = scene, .report = {.reference = ComputeExactGradient(scene, options.stop), .models = {}}};
   audit.report.models.push_back(AuditModel(contact, scene, Precision::kDouble, audit.report.reference, options));
   return audit;
 }

@@ -48,7 +48,7 @@ std::vector<int> ExaminedIterations() {
 void Follow(const Scene& scene, Descent* descent) {
   SingleShooting own(MakeSimulator(descent->contact, scene, Precision::kDouble));
   SingleShooting exact = ExactShooting(scene, own.simulator().num_steps());
-  own.set_stop(AskedToStop);
+  own.set_stop(IsStopRequested);
   const double rate = DefaultLearningRate(scene);
   std::vector<double> z = own.initial_guess(), gradient(z.size()), exact_gradient(z.size());
   int k = 0;
@@ -131,7 +131,7 @@ std::optional<Section> AuditDescents(const std::vector<TitledScene>& tasks, cons
   for (size_t task = 0; task < tasks.size(); ++task) {
     for (const std::string& contact : contacts) {
       if (std::ranges::find(slow, contact) != slow.end()) continue;
-      if (!WhyNotApplicable(contact, tasks[task].scene).empty()) continue;
+      if (!ReasonNotApplicable(contact, tasks[task].scene).empty()) continue;
       descents.push_back({task, contact, {}, {}, {}, {}});
     }
   }

@@ -19,7 +19,7 @@ void RunSolver(Experiment* experiment, size_t which) {
   options.limits.iterations = kPublishedIterations;
   options.descent.learning_rate = experiment->learning_rate;
   options.keep_iterates = experiment->scene.optimize == Optimize::kVelocity;
-  options.monitor.stop = AskedToStop;
+  options.monitor.stop = IsStopRequested;
   experiment->runs[which] =
       SolveAndSimulate(solver, {experiment->scene, experiment->contact, experiment->precision}, options);
 }
@@ -64,7 +64,7 @@ void Experiments::Add(const std::string& problem, double friction, const std::st
     experiment.scene.contact.stiffness = stiffness;
     name += "_kn" + StiffnessSuffix(stiffness);
   }
-  if (!WhyNotApplicable(contact, experiment.scene).empty()) return;
+  if (!ReasonNotApplicable(contact, experiment.scene).empty()) return;
   experiment.contact = contact;
   experiment.precision = precision;
   if (experiment.scene.optimize != Optimize::kNone) {
@@ -83,7 +83,8 @@ bool Experiments::Run(int threads, ProgressMode mode) {
   std::vector<std::string> names;
   for (Experiment& experiment : experiments_) {
     jobs.push_back([&experiment] {
-      experiment.gradient = ComputeGradient(experiment.contact, experiment.scene, experiment.precision, AskedToStop);
+      experiment.gradient =
+          ComputeGradient(experiment.contact, experiment.scene, experiment.precision, IsStopRequested);
     });
     const std::string name = experiment.scene.name + " " + experiment.contact;
     names.push_back(name);
@@ -187,7 +188,7 @@ void WriteNotebookFiles(const Experiments& experiments, const std::string& outpu
       if (experiment.contact == "compliant_warp") name += "_kn_" + StiffnessName(scene.contact.stiffness);
       arrays["ctrls"] = {{std::ssize(report.solution.control) / 2, 2}, report.solution.control};
     }
-    OrOutputError(WriteNpz(results + "/" + name + ".npz", arrays));
+    ThrowIfFailed(WriteNpz(results + "/" + name + ".npz", arrays));
   }
 }
 

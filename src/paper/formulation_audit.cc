@@ -67,7 +67,7 @@ class Work {
 std::vector<double> MeasureCosts(const std::vector<std::string>& contacts, const Scene& scene) {
   std::vector<std::unique_ptr<Work>> works;
   for (const std::string& contact : contacts) {
-    const bool can = WhyNotApplicable(contact, scene).empty();
+    const bool can = ReasonNotApplicable(contact, scene).empty();
     works.push_back(can ? std::make_unique<Work>(contact, scene) : nullptr);
   }
   std::vector<std::vector<double>> times(contacts.size());
@@ -142,13 +142,13 @@ CaptionedTable TableOf(const std::vector<Results>& all, const std::vector<std::s
     for (const Results& results : all) {
       const ModelAudit& audit = results.report.models[model];
       if (!audit.gradient.ok()) {
-        row.insert(row.end(), {Cell(), Cell(), Cell(audit.gradient.reason).With(Tone::kMuted)});
+        row.insert(row.end(), {Cell(), Cell(), Cell(audit.gradient.reason).WithTone(Tone::kMuted)});
         continue;
       }
       row.insert(row.end(),
                  {audit.gradient.loss,
                   ErrorByInitialState(results, model),
-                  Cell(VerdictToString(audit.verdict)).With(ToneOf(audit.verdict))});
+                  Cell(VerdictToString(audit.verdict)).WithTone(ToneOf(audit.verdict))});
     }
     const double cost = CostOf(all, model);
     row.push_back(std::isnan(cost) ? Cell() : Cell(RoundedTo(2, cost)));
@@ -221,7 +221,7 @@ std::optional<Section> AuditFormulations(const std::vector<TitledScene>& tasks, 
   for (const SimulatorCommand& simulator : simulators) contacts.push_back(simulator.name);
   std::vector<Results> all;
   for (const TitledScene& task : tasks) {
-    all.push_back({task, {ExactGradientOf(task.scene), {}}, {}});
+    all.push_back({task, {ComputeExactGradient(task.scene), {}}, {}});
     all.back().report.models.resize(contacts.size());
   }
   const int count = static_cast<int>(all.size() * contacts.size());
@@ -237,7 +237,7 @@ std::optional<Section> AuditFormulations(const std::vector<TitledScene>& tasks, 
   options.refinement.samples = kSamples;
   options.refinement.parameters = false;  // they enter no verdict, and take most of the time
   options.attribution = false;
-  options.stop = AskedToStop;
+  options.stop = IsStopRequested;
   const bool audited = RunJobs(names, threads, &progress, [&](int i, const SayNote&) {
     const size_t model = model_of(i);
     auto& [task, report, unused] = all[i % all.size()];

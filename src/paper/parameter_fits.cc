@@ -62,7 +62,7 @@ Recording Record(const std::string& contact, const Scene& scene) {
   return recording;
 }
 
-std::string WhyNot(const IdentifyReport& report) {
+std::string FitFailure(const IdentifyReport& report) {
   const std::string verdict = FitVerdictToString(report.verdict);
   return report.reason.empty() ? verdict : verdict + ": " + report.reason;
 }
@@ -85,7 +85,8 @@ std::vector<Recording> ReadDrops(const std::string& folder, const Scene& scene) 
 double LargestError(const LearnedLaw& learned, const KnownLaw& truth) {
   double largest = 0;
   for (const LawPoint& at : learned.curve) {
-    if (const auto known = truth.At(at.speed)) largest = std::max(largest, std::abs(at.restitution - *known));
+    if (const auto known = truth.RestitutionAt(at.speed))
+      largest = std::max(largest, std::abs(at.restitution - *known));
   }
   return largest;
 }
@@ -109,7 +110,7 @@ void Compute(const Scene& truth, Fit* fit) {
   options.loss = RobustLoss::kNone;  // there are no outliers
   options.starts = 1;                // so that iterations are those of the gradients at hand
   options.max_iterations = kMostIterations;
-  options.stop = AskedToStop;
+  options.stop = IsStopRequested;
   fit->report = Identify(fit->contact, guess, {recording}, Unknowns(), options);
 }
 
@@ -148,14 +149,14 @@ CaptionedTable TableOf(const std::vector<Fit>& fits, const Scene& truth) {
     for (std::size_t p = 0; p < Unknowns().size(); ++p) {
       const bool known = p < report.estimates.size() && report.estimates[p].determination == Determination::kDetermined;
       if (!known) {
-        row.insert(row.end(), {Cell("not determined").With(Tone::kMuted), Cell(), Cell()});
+        row.insert(row.end(), {Cell("not determined").WithTone(Tone::kMuted), Cell(), Cell()});
         continue;
       }
       const Estimate& estimate = report.estimates[p];
       const double error = estimate.value - ValueOf(estimate.unknown, truth);
       const double sigmas = std::abs(error) / estimate.standard_error;
       const Tone tone = sigmas < 3 ? Tone::kGood : sigmas < 10 ? Tone::kWarning : Tone::kBad;
-      row.insert(row.end(), {estimate.value, Cell(error).With(tone), estimate.standard_error});
+      row.insert(row.end(), {estimate.value, Cell(error).WithTone(tone), estimate.standard_error});
     }
     const bool good = report.verdict == FitVerdict::kFits;
     row.insert(row.end(),
@@ -163,7 +164,7 @@ CaptionedTable TableOf(const std::vector<Fit>& fits, const Scene& truth) {
                 report.iterations,
                 report.evaluations,
                 1e3 * report.seconds,
-                Cell(WhyNot(report)).With(good ? Tone::kGood : Tone::kBad)});
+                Cell(FitFailure(report)).WithTone(good ? Tone::kGood : Tone::kBad)});
     table.AddRow(std::move(row));
   }
   return {"parameter_fits",
@@ -237,7 +238,7 @@ std::optional<Section> FitParameters(const std::vector<std::string>& contacts, i
   std::vector<std::string> fitted, names;
   std::vector<Fit> fits;
   for (const std::string& contact : contacts) {
-    if (!WhyNotApplicable(contact, truth).empty()) continue;
+    if (!ReasonNotApplicable(contact, truth).empty()) continue;
     if (FindContactModel(contact)->rebound == Rebound::kPlastic) continue;
     fitted.push_back(contact);
     for (const Of of : {Of::kExactMotion, Of::kOwnMotion}) {
@@ -258,7 +259,7 @@ std::optional<PaperFigure> LearnALaw() {
   const KnownLaw truth = ReadKnownLaw(folder + "/law.csv");
   IdentifyOptions options;
   options.law = RestitutionNetwork(kUnits, kFastest, scene.contact.restitution);
-  options.stop = AskedToStop;
+  options.stop = IsStopRequested;
   const IdentifyReport report = Identify("event", scene, ReadDrops(folder, scene), {}, options);
   if (!report.law || report.law->curve.empty()) return std::nullopt;
   Figure figure = LawFigure(*report.law, truth);

@@ -178,7 +178,7 @@ Table ToTable(const std::vector<PublishedRow>& rows, const std::string& name) {
     const bool as_printed = row.verdict.empty() || row.verdict == "match";
     const bool missed = row.IsJudged() && !row.Matches();
     Cell verdict(VerdictInWords(row));
-    verdict.With(missed ? Tone::kBad : as_printed ? Tone::kGood : Tone::kWarning);
+    verdict.WithTone(missed ? Tone::kBad : as_printed ? Tone::kGood : Tone::kWarning);
     table.AddRow({row.contact,
                   row.quantity,
                   row.precision == Precision::kFloat ? "float" : "double",
@@ -225,10 +225,10 @@ Table PaperTable(const std::vector<PublishedRow>& rows, const std::string& name,
     if (!row.note.empty()) note += (note.empty() ? "" : ": ") + row.note;
     if (!note.empty()) text += " [" + std::to_string(add(note, notes) + 1) + "]";
     const bool missed = row.IsJudged() && !row.Matches();
-    cells[model][column] = Cell(text).With(missed           ? Tone::kBad
-                                           : as_printed     ? Tone::kPlain
-                                           : row.IsJudged() ? Tone::kWarning
-                                                            : Tone::kMuted);
+    cells[model][column] = Cell(text).WithTone(missed           ? Tone::kBad
+                                               : as_printed     ? Tone::kPlain
+                                               : row.IsJudged() ? Tone::kWarning
+                                                                : Tone::kMuted);
     Cell& exact = cells.back()[column];
     if (row.exact && exact.Exact().empty()) exact = WithPublishedDecimals(*row.exact, row);
   }

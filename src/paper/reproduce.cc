@@ -196,7 +196,7 @@ void WritePaperReport(const Experiments& experiments, const Parts& parts, const 
       "optimum: the best for its sequence of impacts.");
   AddPublishedTable(rows, "L4DC", &page);
 
-  OrOutputError(page.Write(output_dir + "/report.html"));
+  ThrowIfFailed(page.Write(output_dir + "/report.html"));
 }
 
 // Runs work that cannot ask for interrupts. Returns false if interrupted.

@@ -47,7 +47,7 @@ void SolveOne(const Scene& scene, int iterations, CheckedRun* run) {
   options.descent.learning_rate = DefaultLearningRate(scene);
   if (run->report.solver == "ceres_shooting") options.limits.iterations = kShootingIterations;
   if (run->report.solver == "ceres_lagrangian") options.limits.iterations = kLagrangianIterations;
-  options.monitor.stop = AskedToStop;
+  options.monitor.stop = IsStopRequested;
   *run = SolveAndSimulate(run->report.solver, {scene, run->report.contact}, options);
 }
 
@@ -99,7 +99,7 @@ void PlanOthers(bool every_solver, Tasks* all) {
   if (every_solver) solvers.push_back("ceres_shooting");
   for (const ModelTraits& traits : AllContactModels()) {
     const std::string contact(traits.name);
-    if (traits.compared || traits.event_driven || !WhyNotApplicable(contact, others.scene).empty()) continue;
+    if (traits.compared || traits.event_driven || !ReasonNotApplicable(contact, others.scene).empty()) continue;
     const bool slow = !every_solver && GradientTime(contact, others.scene) > kSlow;
     if (slow) all->slow.insert(contact);
     for (const std::string& solver : solvers) {
@@ -191,7 +191,7 @@ Table HeadlineOf(const Tasks& all) {
     table.AddRow({solver,
                   method,
                   run->exact.loss,
-                  Cell(gap).With(ToneOfGap(gap)),
+                  Cell(gap).WithTone(ToneOfGap(gap)),
                   run->report.work.evaluations,
                   1e3 * run->report.work.seconds});
   }
@@ -208,7 +208,7 @@ Table TaskTable(const Tasks& all, const Task& task) {
     Cell exact, gap;
     if (run.exact.ok) {
       exact = run.exact.loss;
-      gap = Cell(run.exact.loss - task.optimum).With(ToneOfGap(run.exact.loss - task.optimum));
+      gap = Cell(run.exact.loss - task.optimum).WithTone(ToneOfGap(run.exact.loss - task.optimum));
     }
     table.AddRow({report.contact,
                   report.solver,

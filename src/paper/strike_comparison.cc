@@ -92,7 +92,7 @@ Entry Plan(const Scene& scene, const std::string& solver, const std::string& lab
   if (entry.options.descent.rate_per_time) entry.options.descent.learning_rate *= scene.duration / kPublishedSteps;
   // The references are optima along the impact of the guess; of one another motion is better.
   if (reference != nullptr && solver == "ceres_phases") entry.options.guess = {InitialControl(scene, scene.steps), {}};
-  entry.options.monitor.stop = AskedToStop;
+  entry.options.monitor.stop = IsStopRequested;
   return entry;
 }
 
@@ -140,7 +140,7 @@ std::vector<CaptionedTable> TablesOf(const std::vector<Entry>& entries) {
     const SolveReport& report = entry.run.report;
     if (!entry.run.exact.ok) continue;
     const double gap = entry.run.exact.loss - entry.optimum;
-    const Cell coloured = Cell(gap).With(gap < 1e-5 ? Tone::kGood : gap < 1e-3 ? Tone::kWarning : Tone::kBad);
+    const Cell coloured = Cell(gap).WithTone(gap < 1e-5 ? Tone::kGood : gap < 1e-3 ? Tone::kWarning : Tone::kBad);
     const char* end = TerminationToString(report.termination);
     if (entry.reference == nullptr) {
       free.AddRow({entry.scene.steps,

@@ -64,7 +64,7 @@ std::optional<ModelGradient> FindReference(const Request& request, Progress* pro
   using Reference = std::optional<ModelGradient>;
   const auto found =
       ComputeAll<Reference>({"exact gradient"}, 1, progress, [scene = request.scene](int, const SayNote&, const auto&) {
-        return ExactGradientOf(scene, AskedToStop);
+        return ComputeExactGradient(scene, IsStopRequested);
       });
   return found.results[0].value_or(std::nullopt);
 }
@@ -86,7 +86,7 @@ AuditReport RunAudit(const Request& request, bool needs_reference, const std::ve
   options.threads_now = [at_work, threads = request.threads] {
     return std::max(1, threads / std::max(1, at_work->load()));
   };
-  options.stop = AskedToStop;
+  options.stop = IsStopRequested;
   Progress progress(
       request.progress, stderr, "audit " + request.scene.name, 1 + request.contacts.size() + simulators.size());
   AuditReport report;
@@ -132,7 +132,8 @@ int AuditExitCode(const Request& request, const AuditReport& report, std::size_t
   std::vector<std::string> without, wrong;
   for (const ModelAudit& audit : report.models) {
     failed = failed || audit.interrupted;
-    if (FLAGS_fail_on_wrong && IsWrong(audit.verdict)) wrong.push_back(audit.gradient.contact + ": " + audit.Why());
+    if (FLAGS_fail_on_wrong && IsWrong(audit.verdict))
+      wrong.push_back(audit.gradient.contact + ": " + audit.VerdictReason());
     if (audit.gradient.ok()) continue;
     const bool not_applicable = IsNotApplicable(audit, request.scene);
     if (not_applicable && asked == 1) {

@@ -17,7 +17,7 @@ namespace {
 constexpr Quantity kShown[] = {Quantity::kPosition, Quantity::kVelocity, Quantity::kControl};
 
 // One number of every level of a study.
-std::vector<double> OfLevels(const std::vector<RefinementLevel>& levels, double RefinementLevel::*number) {
+std::vector<double> LevelValues(const std::vector<RefinementLevel>& levels, double RefinementLevel::*number) {
   std::vector<double> numbers;
   for (const RefinementLevel& level : levels) numbers.push_back(level.*number);
   return numbers;
@@ -42,10 +42,10 @@ Json RefinementToJson(const RefinementStudy& study) {
   for (const QuantityStudy& quantity : study.quantities) {
     Json& item = quantities.emplace_back(Json{{"quantity", QuantityToString(quantity.quantity)}});
     item.update(JudgementToJson(quantity));
-    item["steps"] = OfLevels(quantity.levels, &RefinementLevel::steps);
-    item["error"] = OfLevels(quantity.levels, &RefinementLevel::error);
-    item["smallest"] = OfLevels(quantity.levels, &RefinementLevel::smallest);
-    item["largest"] = OfLevels(quantity.levels, &RefinementLevel::largest);
+    item["steps"] = LevelValues(quantity.levels, &RefinementLevel::steps);
+    item["error"] = LevelValues(quantity.levels, &RefinementLevel::error);
+    item["smallest"] = LevelValues(quantity.levels, &RefinementLevel::smallest);
+    item["largest"] = LevelValues(quantity.levels, &RefinementLevel::largest);
   }
   return {{"control_intervals", study.intervals}, {"quantities", std::move(quantities)}};
 }
@@ -56,7 +56,7 @@ Json ContactsToJson(const Attribution& attribution) {
     Json& item = contacts.emplace_back();
     SALTUS_ADD_MEMBERS(&item, error, first_step, last_step, a, b, exact_impacts, error, stays);
     item["block"] = BlockToString(error.block);
-    item["why"] = error.why;
+    item["why"] = error.cause;
   }
   return contacts;
 }
@@ -82,14 +82,19 @@ Json RecognitionToJson(const ContactRecognition& found) {
 void AddBlackBox(const BlackBoxFindings& found, Json* item) {
   Json& to = *item;
   to["black_box"] = true;
-  if (!found.says.empty()) to["says"] = found.says;
+  if (!found.reported_name.empty()) to["says"] = found.reported_name;
   if (found.precision_found > 0) SALTUS_ADD_MEMBERS(item, found, precision_found, own_gradient);
   if (found.motion != BlackBoxFindings::Motion::kUnknown) to["motion"] = MotionToString(found.motion);
-  if (found.head_on) SALTUS_ADD_MEMBERS(item, *found.head_on, e, keep, feed);
-  if (found.finer) SALTUS_ADD_MEMBERS(&to["finer"], *found.finer, e, keep, feed);
+  const auto add = [](const BlackBoxFindings::HeadOn& of, Json* json) {
+    SALTUS_ADD_MEMBERS(json, of, e);
+    AddMember("keep", of.retention, json);
+    AddMember("feed", of.velocity_feedback, json);
+  };
+  if (found.head_on) add(*found.head_on, item);
+  if (found.finer) add(*found.finer, &to["finer"]);
   if (!found.levels.empty()) {
-    to["loss_error"] = {{"steps", OfLevels(found.levels, &RefinementLevel::steps)},
-                        {"error", OfLevels(found.levels, &RefinementLevel::error)}};
+    to["loss_error"] = {{"steps", LevelValues(found.levels, &RefinementLevel::steps)},
+                        {"error", LevelValues(found.levels, &RefinementLevel::error)}};
   }
   if (!found.remarks.empty()) to["findings"] = found.remarks;
 }
@@ -124,8 +129,8 @@ Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
   }
   item["verdict"] = VerdictToString(audit.verdict);
   if (audit.refinement) AddConditioning(*audit.refinement, &item);
-  if (audit.own && audit.own->agreement != Agreement::kUndecided) {
-    item["agrees_with_differences"] = audit.own->agreement == Agreement::kAgrees;
+  if (audit.gradient_check && audit.gradient_check->agreement != Agreement::kUndecided) {
+    item["agrees_with_differences"] = audit.gradient_check->agreement == Agreement::kAgrees;
   }
   for (const ParameterAudit& parameter : audit.parameters) {
     item["parameters"].push_back({{"name", parameter.name},
@@ -143,7 +148,7 @@ Json ModelToJson(const Scene& scene, const ModelAudit& audit) {
     item["first_wrong_contact"] = {first->a, first->b};
     item["block"] = BlockToString(first->block);
   }
-  if (const std::string why = audit.Why(); !why.empty()) item["why"] = why;
+  if (const std::string why = audit.VerdictReason(); !why.empty()) item["why"] = why;
   if (audit.refinement && audit.refinement->ok()) item["refinement"] = RefinementToJson(*audit.refinement);
   if (audit.attribution && audit.attribution->ok()) {
     item["contacts"] = ContactsToJson(*audit.attribution);
@@ -161,8 +166,8 @@ bool IsNotApplicable(const ModelAudit& audit, const Scene& scene) {
 }
 
 bool IsNotApplicable(const ModelGradient& gradient, const Scene& scene) {
-  if (!WhyNotApplicable(gradient.contact, scene).empty()) return true;
-  return gradient.surrogate && !WhyNotApplicable(*gradient.surrogate, gradient.contact, scene).empty();
+  if (!ReasonNotApplicable(gradient.contact, scene).empty()) return true;
+  return gradient.surrogate && !ReasonNotApplicable(*gradient.surrogate, gradient.contact, scene).empty();
 }
 
 Json AuditToJson(const Request& request, const AuditReport& report) {
@@ -271,9 +276,9 @@ Panel RefinementPanel(const Scene& scene, const AuditReport& report, Quantity qu
   for (const ModelAudit& audit : report.models) {
     const QuantityStudy* study = audit.refinement ? audit.refinement->Find(quantity) : nullptr;
     if (study == nullptr) continue;
-    std::vector<double> x = OfLevels(study->levels, &RefinementLevel::steps);
+    std::vector<double> x = LevelValues(study->levels, &RefinementLevel::steps);
     for (double& steps : x) steps = scene.duration / steps;
-    const std::vector<double> y = OfLevels(study->levels, &RefinementLevel::error);
+    const std::vector<double> y = LevelValues(study->levels, &RefinementLevel::error);
     for (const double error : y) highest = std::max(highest, error);
     Series series = Series::ForModel(audit.gradient.contact, x, y);
     // One label a model, whatever the panel.
@@ -470,7 +475,8 @@ void AddWrongSteps(const Request& request, const AuditReport& audit, Page* page)
     if (contact == nullptr) continue;
     const std::string& name = model.gradient.contact;
     const double step = request.scene.duration / model.gradient.num_steps;
-    moments.push_back({"`" + name + "`: " + model.Why(), model.black_box ? "" : name, step * contact->first_step});
+    moments.push_back(
+        {"`" + name + "`: " + model.VerdictReason(), model.black_box ? "" : name, step * contact->first_step});
     if (flows.panels.size() == kMostFlows || model.black_box || InterruptGuard::GraceIsOver()) continue;
     Panel flow = PerturbedFlowPanel(request.scene, name, *contact);
     if (!flow.series.front().x.empty()) flows.panels.push_back(std::move(flow));

@@ -64,7 +64,7 @@ std::optional<FeedbackOptions> FeedbackFromFlags(const std::vector<std::string>&
   if (options.samples < 0) throw InputError("--feedback_samples must not be negative");
   options.seed = FLAGS_feedback_seed;
   options.plant = FLAGS_feedback_plant;
-  if (const std::string wrong = WhatIsWrongWith(Contact(options.plant)); !wrong.empty()) {
+  if (const std::string wrong = Validate(Contact(options.plant)); !wrong.empty()) {
     throw InputError("--feedback_plant=" + options.plant + ": " + wrong);
   }
   return options;
@@ -85,13 +85,13 @@ Json LoopToJson(const FeedbackStudy& study, const FeedbackStudy::Loop& loop, boo
                {"risks", Json::array()}};
   if (loop.expected_loss) item["expected_loss"] = *loop.expected_loss;
   for (const SequenceRisk& risk : covariance.risks) {
-    item["risks"].push_back({{"what", risk.what}, {"time", risk.time}, {"probability", risk.probability}});
+    item["risks"].push_back({{"what", risk.description}, {"time", risk.time}, {"probability", risk.probability}});
   }
   if (const std::string warning = covariance.Warning(); !warning.empty()) item["warning"] = warning;
   if (states) item["covariances"] = covariance.nodes;
   if (!loop.runs) return item;
   const MonteCarlo& runs = *loop.runs;
-  Json of_runs = {{"samples", study.samples}, {"failed", runs.failed}, {"otherwise", runs.otherwise}};
+  Json of_runs = {{"samples", study.samples}, {"failed", runs.failed}, {"otherwise", runs.off_plan}};
   if (runs.counted > 1) {
     of_runs["final_error"] = FinalError(study, runs);
     of_runs["covariance"] = runs.covariance;

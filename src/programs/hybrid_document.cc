@@ -84,7 +84,7 @@ void AddIntegrationError(const HybridProblem& problem, HybridSimulator* simulato
   const double error = simulator->IntegrationError();
   (*motion)["integration_error"] = error;
   (*motion)["remarks"] = RemarksToJson(RemarksOn(*simulator, error, problem.integration.tolerance));
-  const std::string remark = motion->value("remark", ""), why = simulator->WhyInaccurate();
+  const std::string remark = motion->value("remark", ""), why = simulator->ReasonInaccurate();
   if (!why.empty()) (*motion)["remark"] = remark.empty() ? why : remark + "; " + why;
 }
 
@@ -111,7 +111,7 @@ Json HybridMotionToJson(const HybridSimulator& simulator, const HybridInput& inp
                         const DrawState& draw) {
   const HybridSystem& system = simulator.system();
   Json motion = Json::object();
-  if (!ok) motion["failed"] = simulator.WhyFailed();
+  if (!ok) motion["failed"] = simulator.FailureReason();
   if (simulator.accumulation()) motion["accumulation"] = *simulator.accumulation();
   if (ok) {
     motion["mode"] = system.ModeName(simulator.final_mode());
@@ -134,7 +134,7 @@ Json HybridMotionToJson(const HybridSimulator& simulator, const HybridInput& inp
   if (!switches.empty()) motion["switches"] = std::move(switches);
   motion["steps_per_interval"] = simulator.steps_per_interval();
   if (ok) {
-    if (const std::string remark = simulator.WhyNotDifferentiable(); !remark.empty()) motion["remark"] = remark;
+    if (const std::string remark = simulator.ReasonNotDifferentiable(); !remark.empty()) motion["remark"] = remark;
     motion["remarks"] = RemarksToJson(RemarksOn(simulator));
   }
   if (states) AddSamples(simulator, input, ok, draw, &motion);
@@ -152,7 +152,7 @@ Json DrawnMotionToJson(const HybridProblem& problem, const HybridInput& input, c
 }
 
 Json HybridLossToJson(const HybridProblem& problem, bool states, Json* motion) {
-  HybridShooting shooting(WithAllFree(problem));
+  HybridShooting shooting(FreeAllVariables(problem));
   const std::vector<double>& z = shooting.initial_guess();
   std::vector<double> derivative(z.size());
   double loss = 0;
@@ -160,12 +160,12 @@ Json HybridLossToJson(const HybridProblem& problem, bool states, Json* motion) {
   const HybridInput input = shooting.InputAt(z);
   if (motion != nullptr) {
     HybridSimulator& simulator = shooting.simulator();
-    const bool moved = simulator.WhyFailed().empty();
+    const bool moved = simulator.FailureReason().empty();
     *motion = HybridMotionToJson(simulator, input, moved, states);
     if (moved) AddIntegrationError(problem, &simulator, motion);
   }
   if (!ok) {
-    Json failed = {{"failed", shooting.WhyFailed()}};
+    Json failed = {{"failed", shooting.FailureReason()}};
     if (shooting.Evaluate(z, &loss, nullptr)) failed["loss"] = loss;  // it has no gradient
     return failed;
   }
@@ -218,7 +218,7 @@ Json HybridRunToJson(const HybridProblem& problem, const SolveReport& report, bo
 
 Json HybridAuditToJson(const HybridProblem& problem, const HybridAudit& audit) {
   Json item = {{"scheme", audit.scheme}, {"verdict", VerdictToString(audit.verdict)}};
-  if (const std::string why = audit.Why(); !why.empty()) item["reason"] = why;
+  if (const std::string why = audit.VerdictReason(); !why.empty()) item["reason"] = why;
   if (audit.interrupted) item["interrupted"] = true;
   if (audit.exact.initial.empty()) return item;
   SALTUS_ADD_MEMBERS(&item, audit, steps);
@@ -235,8 +235,8 @@ Json HybridAuditToJson(const HybridProblem& problem, const HybridAudit& audit) {
   };
   item["gradient"] = gradient_to_json(audit.gradient);
   item["exact_gradient"] = gradient_to_json(audit.exact);
-  if (audit.own && audit.own->agreement != Agreement::kUndecided) {
-    item["agrees_with_differences"] = audit.own->agreement == Agreement::kAgrees;
+  if (audit.gradient_check && audit.gradient_check->agreement != Agreement::kUndecided) {
+    item["agrees_with_differences"] = audit.gradient_check->agreement == Agreement::kAgrees;
   }
   if (!audit.refinement) return item;
   item["order"] = audit.order;

@@ -81,7 +81,7 @@ std::vector<std::string> ReadSolvers(const HybridProblem& problem) {
   if (FLAGS_solver.empty()) {
     const std::string name = IsGiven("learning_rate") || FLAGS_rate_per_time ? "gd" : "auto";
     const auto entry = std::ranges::find(HybridSolvers(), name, &HybridSolverEntry::name);
-    if (!entry->why_not(problem).empty()) return {};
+    if (!entry->reason_not_applicable(problem).empty()) return {};
     return {name};
   }
   if (FLAGS_solver == kNoSolver) return {};
@@ -95,7 +95,7 @@ void ReadHybridRequest(const std::vector<std::string>& arguments, HybridRequest*
   if (IsGiven("steps") && !FLAGS_audit) {
     Resample(std::max(1, FLAGS_steps), &problem.guess, problem.system.num_controls());
   }
-  if (const std::string wrong = WhatIsWrongWith(problem); !wrong.empty()) throw InputError(wrong);
+  if (const std::string wrong = Validate(problem); !wrong.empty()) throw InputError(wrong);
   request->solvers = ReadSolvers(problem);
   request->feedback = ReadFeedback(problem);
   request->options.monitor.stop = InterruptGuard::Interrupted;

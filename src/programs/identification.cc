@@ -104,7 +104,8 @@ Json LawToJson(const LearnedLaw& learned, const std::optional<KnownLaw>& known) 
       point["friction"] = at.friction;
       point["friction_standard_error"] = at.friction_error;
     }
-    if (const auto restitution = known ? known->At(at.speed) : std::nullopt) point["known_restitution"] = *restitution;
+    if (const auto restitution = known ? known->RestitutionAt(at.speed) : std::nullopt)
+      point["known_restitution"] = *restitution;
     item["curve"].push_back(std::move(point));
   }
   return item;
@@ -142,7 +143,7 @@ Panel LawPanel(const LearnedLaw& learned, const std::string& quantity, double La
 Series KnownLawSeries(const LearnedLaw& learned, const KnownLaw& known) {
   Series series{.label = "known", .dash = Dash::kDashed};
   for (const LawPoint& at : learned.curve) {
-    const std::optional<double> restitution = known.At(at.speed);
+    const std::optional<double> restitution = known.RestitutionAt(at.speed);
     if (!restitution) continue;
     series.x.push_back(at.speed);
     series.y.push_back(*restitution);
@@ -458,7 +459,7 @@ void WriteHybridFitPage(const Identified& identified, const Json& document, cons
   }
   AddResidualsAndOutliers(identified, document, &page);
   page.SetResults(document);
-  OrOutputError(page.Write(path));
+  ThrowIfFailed(page.Write(path));
 }
 
 namespace {
@@ -515,7 +516,7 @@ double ReadNumber(const std::string& text, const std::string& where) {
 
 }  // namespace
 
-std::optional<double> KnownLaw::At(double at) const {
+std::optional<double> KnownLaw::RestitutionAt(double at) const {
   const auto above = std::ranges::lower_bound(speed, at);
   if (above == speed.end() || at < speed.front()) return std::nullopt;
   const auto i = std::max<std::ptrdiff_t>(1, above - speed.begin());

@@ -35,7 +35,7 @@ struct KnownLaw {
   std::vector<double> speed, restitution;
 
   // Interpolates linearly between the points; std::nullopt outside of them.
-  std::optional<double> At(double at) const;
+  std::optional<double> RestitutionAt(double at) const;
 };
 
 // Reads CSV with the columns speed and restitution. Throws InputError that names the line: numbers that are not finite,

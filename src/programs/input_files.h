@@ -10,7 +10,7 @@
 #include "output/npz.h"
 #include "programs/json_output.h"
 #include "programs/scene_drawing.h"
-#include "saltus/audit/given.h"
+#include "saltus/audit/external_gradient.h"
 #include "saltus/scene/scene.h"
 
 namespace saltus {
@@ -72,7 +72,7 @@ void StartFrom(const std::string& flag, const SavedSolution& solution, Scene* sc
 // (default: the path), tolerance (absolute, default 0) and intervals (equal parts of the horizon that rows of the
 // control stand for; default: one a step). Or an object with such a gradient under the key gradient, as in the audits
 // of saltus_audit --json: named, and its intervals known, by its contact model. Throws InputError.
-GivenGradient ReadGivenGradient(const std::string& path, const Scene& scene);
+ExternalGradient ReadExternalGradient(const std::string& path, const Scene& scene);
 
 // Reads saved motions, of saltus or of another simulator, from NPZ or JSON:
 //

@@ -42,7 +42,7 @@ Json ParametersToJson(const Scene& scene, const ParameterGradient& p) {
 
 // Converts rows (control_rows.h), of which a long horizon has millions.
 Json RowsToJson(const Scene& scene, const std::vector<double>& rows) {
-  const std::vector<int>& turned = scene.control.turned;
+  const std::vector<int>& turned = scene.control.torque_bodies;
   const size_t columns = ControlColumns(scene), width = columns * scene.num_controlled();
   Json::array_t intervals;
   if (width > 0) intervals.reserve(rows.size() / width);
@@ -206,7 +206,7 @@ Json OptimaToJson(const Scene& scene, const std::vector<LocalOptimum>& optima) {
   return list;
 }
 
-Json SearchedToJson(const Searched& searched) {
+Json SearchStatisticsToJson(const SearchStatistics& searched) {
   Json item;
   SALTUS_ADD_MEMBERS(&item, searched, sequences, starts, work, complete, lower_bound);
   if (searched.proof) SALTUS_ADD_MEMBERS(&item, *searched.proof, gap, boxes);

@@ -50,7 +50,7 @@ void AddResiduals(const ImpactCertificate& impact, Json* item);
 Json CertificateToJson(const Scene& scene, const Certificate& certificate, const char* of = "exact_loss");
 // [{ "sequence": [{ "a", "b" }, ...], "loss", "times" }], as they come.
 Json OptimaToJson(const Scene& scene, const std::vector<LocalOptimum>& optima);
-Json SearchedToJson(const Searched& searched);
+Json SearchStatisticsToJson(const SearchStatistics& searched);
 
 // Returns the part of a file name for a surrogate's results: "", or "_smoothed_zeroth_biased".
 std::string FileSuffix(const std::optional<Surrogate>& surrogate);

@@ -46,7 +46,7 @@ struct Board {
   std::exception_ptr thrown;
 
   // The jobs at work, the longest first: "ncp for 12 s, lcp".
-  std::string AtWork() const {
+  std::string DescribeRunningJobs() const {
     std::vector<const Entry*> longest_first;
     for (const auto& [index, entry] : at_work) longest_first.push_back(&entry);
     std::ranges::stable_sort(longest_first, [](const Entry* a, const Entry* b) { return a->start < b->start; });
@@ -94,7 +94,7 @@ void Work(Board* board) {
 
 }  // namespace
 
-bool AskedToStop() { return InterruptGuard::Interrupted(); }
+bool IsStopRequested() { return InterruptGuard::Interrupted(); }
 
 JobsEnd RunJobsOrAbandon(int count, const JobName& name, int threads, Progress* progress, const Job& job) {
   const auto board = std::make_shared<Board>();
@@ -118,11 +118,11 @@ JobsEnd RunJobsOrAbandon(int count, const JobName& name, int threads, Progress* 
   while (board->threads > 0 && Clock::now() < give_up) {
     board->changed.wait_for(lock, kLook);
     if (InterruptGuard::Interrupted()) give_up = std::min(give_up, Clock::now() + kGrace);
-    progress->Advance(board->done - std::exchange(reported, board->done), board->AtWork());
+    progress->Advance(board->done - std::exchange(reported, board->done), board->DescribeRunningJobs());
   }
   const int64_t done = board->done;
   JobsEnd end{board->started, done == count, board->threads > 0, board->thrown};
-  const std::string at_work = board->AtWork();
+  const std::string at_work = board->DescribeRunningJobs();
   lock.unlock();
   for (std::thread& worker : workers) {
     if (end.abandoned) {

@@ -22,7 +22,7 @@ using Job = std::function<void(int index, const SayNote& say)>;
 using JobName = std::function<std::string(int index)>;
 
 // For jobs to ask: InterruptGuard::Interrupted().
-bool AskedToStop();
+bool IsStopRequested();
 
 struct JobsEnd {
   std::vector<char> started;  // of each job
@@ -33,8 +33,8 @@ struct JobsEnd {
 
 // Calls job(i) for i = 0..count-1 on `threads` threads, each once, until interrupted. Which jobs are at work
 // stands in the progress, and after an interrupt on stderr: then no more are started, and those at work, which should
-// ask AskedToStop(), have 0.7 s to come back before the program goes on without them. What they use must therefore not
-// go away; RunMain ends the process without waiting for them. After one has thrown no more are started.
+// ask IsStopRequested(), have 0.7 s to come back before the program goes on without them. What they use must therefore
+// not go away; RunMain ends the process without waiting for them. After one has thrown no more are started.
 JobsEnd RunJobsOrAbandon(int count, const JobName& name, int threads, Progress* progress, const Job& job);
 // Runs jobs with these names. They take seconds and minutes, so that the progress does not estimate the time left.
 JobsEnd RunJobsOrAbandon(const std::vector<std::string>& names, int threads, Progress* progress, const Job& job);

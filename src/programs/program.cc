@@ -175,7 +175,7 @@ void CheckFlagNames(int argc, char** argv, const Program& program) {
     if (known && !has_value && info.type != "bool") ++i;  // the value stands apart
     if (!known && !negated) unknown.push_back(name);
   }
-  if (!unknown.empty()) throw InputError(WhyNoFlagOf(program, unknown.front()));
+  if (!unknown.empty()) throw InputError(ReasonFlagRefused(program, unknown.front()));
 }
 
 // Whatever way a flag was given: one that the program would ignore, or a text that is empty, is an error. To be called
@@ -185,7 +185,7 @@ void RefuseFlagsOfOthers(const Program& program) {
     for (const std::string& name : FlagNames(other)) {
       gflags::CommandLineFlagInfo info;
       if (!gflags::GetCommandLineFlagInfo(name.c_str(), &info) || info.is_default) continue;
-      const std::string why = WhyNoFlagOf(program, name);
+      const std::string why = ReasonFlagRefused(program, name);
       if (!why.empty()) throw InputError(why);
       if (info.type == "string" && info.current_value.empty()) {
         throw InputError("--" + name + " is empty, expected a value");
@@ -266,7 +266,7 @@ std::vector<std::string> ReadContacts(const std::string& value) {
   if (value == "all") return NameList(AllContactModels());
   std::vector<std::string> contacts;
   for (const std::string& contact : Split(value)) {
-    const std::string wrong = WhatIsWrongWith(contact);
+    const std::string wrong = Validate(contact);
     if (!wrong.empty()) {
       const std::string name = contact.substr(0, contact.find(':'));
       const bool known = FindContactModel(name) != nullptr;
@@ -314,7 +314,7 @@ std::optional<Surrogate> SurrogateFromFlags() {
   surrogate.samples = FLAGS_surrogate_samples;
   surrogate.seed = FLAGS_surrogate_seed;
   surrogate.segments = FLAGS_surrogate_segments;
-  if (const std::string why = WhyNotValid(surrogate); !why.empty()) throw InputError("--surrogate_" + why);
+  if (const std::string why = Validate(surrogate); !why.empty()) throw InputError("--surrogate_" + why);
   return surrogate;
 }
 
@@ -335,7 +335,7 @@ void ReadStart(Request* request) {
     return;
   }
   ControlGuess guess{solution.control, solution.durations};
-  if (const std::string wrong = WhatIsWrongWith(guess, *scene); !wrong.empty()) {
+  if (const std::string wrong = Validate(guess, *scene); !wrong.empty()) {
     throw InputError(flag + ": " + path + ": " + wrong);
   }
   if (scene->optimize == Optimize::kControl) request->options.guess = guess;
@@ -524,7 +524,7 @@ void ReadSolveFlags(const ProgramDefaults& defaults, SolveFlags* flags) {
                               .memory = static_cast<std::size_t>(std::max(0, FLAGS_search_memory)) << 20,
                               .starts = FLAGS_search_starts,
                               .seed = FLAGS_search_seed};
-  if (const std::string why = WhyNotValid(options.sequences.limits); !why.empty()) throw InputError("--" + why);
+  if (const std::string why = Validate(options.sequences.limits); !why.empty()) throw InputError("--" + why);
   flags->threads = ThreadsFromFlags();
   flags->json = FLAGS_json;
   flags->states = FLAGS_states;
@@ -590,12 +590,12 @@ void MakeDirectory(const std::string& path) {
   if (error) throw InputError("cannot create directory '" + path + "': " + error.message());
 }
 
-void OrOutputError(const Status& status) {
+void ThrowIfFailed(const Status& status) {
   if (!status.ok()) throw OutputError(status.message());
 }
 
 void WriteTextFile(const std::string& path, const std::string& text) {
-  OrOutputError(WriteFile(path, text, InterruptGuard::Interrupted));
+  ThrowIfFailed(WriteFile(path, text, InterruptGuard::Interrupted));
 }
 
 void PrintTable(const std::string& caption, const Table& table) {
@@ -626,7 +626,7 @@ void WriteReport(const Request& request, const std::function<void(Page*)>& add) 
   add(&page);
   page.AddHeading("Scene");
   page.AddPreformatted(WriteScene(request.scene));
-  OrOutputError(page.Write(PathOfReport(request)));
+  ThrowIfFailed(page.Write(PathOfReport(request)));
 }
 
 void PrintReportPath(const Request& request) {

@@ -58,7 +58,7 @@ std::string HelpText(const Program& program, size_t width);
 
 // Returns the error of a flag on the command line, whether gflags has it or not: no program has it, or only others than
 // this one. Empty if the program takes it, and for flags of glog and gflags. `name` is without dashes.
-std::string WhyNoFlagOf(const Program& program, std::string_view name);
+std::string ReasonFlagRefused(const Program& program, std::string_view name);
 
 // The message when memory runs out.
 inline constexpr char kMemoryRanOut[] = "memory ran out";
@@ -129,7 +129,7 @@ struct Request : SolveFlags {
 };
 
 // For documents that are not to have --states.
-inline Request WithoutStates(Request request) {
+inline Request OmitStates(Request request) {
   request.states = false;
   return request;
 }
@@ -189,7 +189,7 @@ inline constexpr int kPublishedSteps = 480;  // for which that of a control is
 // Creates the directory and its parents if need be. Throws InputError.
 void MakeDirectory(const std::string& path);
 
-void OrOutputError(const Status& status);
+void ThrowIfFailed(const Status& status);
 
 // Writes a whole file. Throws OutputError if it cannot.
 void WriteTextFile(const std::string& path, const std::string& text);

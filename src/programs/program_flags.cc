@@ -57,7 +57,7 @@ constexpr char kHybridNotes[] =
     "--steps is the number of control intervals, and with --audit that of the scheme's steps. The default solver is "
     "auto, or gd with a learning rate.";
 
-std::vector<FlagGroup> WithScene(std::vector<FlagGroup> groups) {
+std::vector<FlagGroup> AddSceneFlags(std::vector<FlagGroup> groups) {
   groups.front() = {"Problem (these flags override the file)", {"scene=FILE", "set=LIST", "steps=N"}};
   return groups;
 }
@@ -68,7 +68,7 @@ std::string NameOf(std::string_view flag) {
   return std::string(flag.substr(0, flag.find('=')));
 }
 
-bool Takes(const Program& program, std::string_view name) {
+bool AcceptsFlag(const Program& program, std::string_view name) {
   const std::vector<std::string> names = FlagNames(program);
   return std::ranges::find(names, name) != names.end();
 }
@@ -114,7 +114,7 @@ std::vector<Program> MakePrograms() {
       {"saltus_bodies",
        "Motion, loss with gradient, optimisation and audit of a problem of planar bodies in a file",
        {"--scene=FILE [--set=NAME=VALUE,...] [--solver=LIST|none] [--simulate=\"[NAME=]COMMAND\"] [--json]"},
-       WithScene(kHybridGroups),
+       AddSceneFlags(kHybridGroups),
        kHybridNotes},
       {"saltus_audit",
        "Audits the gradients of contact models: which are right, which are wrong, where and why",
@@ -231,11 +231,11 @@ std::string HelpText(const Program& program, size_t width) {
              width);
 }
 
-std::string WhyNoFlagOf(const Program& program, std::string_view name) {
-  if (Takes(program, name)) return "";
+std::string ReasonFlagRefused(const Program& program, std::string_view name) {
+  if (AcceptsFlag(program, name)) return "";
   std::vector<std::string> takers, flags;
   for (const Program& other : AllPrograms()) {
-    if (Takes(other, name)) takers.push_back(other.name);
+    if (AcceptsFlag(other, name)) takers.push_back(other.name);
   }
   const std::string flag = "--" + std::string(name);
   if (!takers.empty()) return flag + " is not a flag of " + program.name + ", but of " + Join(takers);

@@ -392,7 +392,7 @@ int WriteReplay() {
   Page page(names);
   page.AddReplay(ReplayToJson(replay),
                  "The space bar plays and pauses; arrow keys step, with shift from impact to impact.");
-  OrOutputError(page.Write(FLAGS_output));
+  ThrowIfFailed(page.Write(FLAGS_output));
   std::cout << FLAGS_output << std::endl;
   return kDone;
 }

@@ -46,7 +46,7 @@ class SolutionReader : InputReader {
   // The numbers of [[x, y], ...], `rows` of them. With `control` one interval as rows of it have it (control_rows.h):
   // [x, y, torque] of discs that are turned.
   std::vector<double> Vectors(const Json& list, const std::string& key, size_t rows, bool control = false) const {
-    const bool three = control && scene_.num_turned() > 0;
+    const bool three = control && scene_.num_torques() > 0;
     if (!list.is_array() || list.size() != rows) {
       Fail(key,
            "a list of " + std::to_string(rows) + " times [x, y]" +
@@ -54,7 +54,7 @@ class SolutionReader : InputReader {
     }
     std::vector<double> numbers;
     for (size_t i = 0; i < rows; ++i) {
-      const std::vector<int>& turned = scene_.control.turned;
+      const std::vector<int>& turned = scene_.control.torque_bodies;
       const bool turns = three && std::ranges::find(turned, scene_.control.bodies[i]) != turned.end();
       if (!IsVector(list[i], turns ? 3 : 2)) {
         Fail(key + "[" + std::to_string(i) + "]",
@@ -80,7 +80,7 @@ class SolutionReader : InputReader {
 
   // Sets the control from rows, and checks them.
   void SetControl(const std::vector<double>& rows) {
-    if (const std::string why = WhyNoControl(scene_, rows); !why.empty()) {
+    if (const std::string why = ValidateControlRows(scene_, rows); !why.empty()) {
       throw InputError(where() + ": control: " + why);
     }
     solution_.control = ControlOfRows(scene_, rows);

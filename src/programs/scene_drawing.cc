@@ -206,7 +206,8 @@ Json DiscsToJson(const Scene& scene) {
     if (!control.max.empty()) bounds[0] = control.max[i];
     if (!control.max_norm.empty()) bounds[1] = control.max_norm[i];
   }
-  for (size_t i = 0; i < control.max_torque.size(); ++i) discs[control.turned[i]]["bounds"][2] = control.max_torque[i];
+  for (size_t i = 0; i < control.max_torque.size(); ++i)
+    discs[control.torque_bodies[i]]["bounds"][2] = control.max_torque[i];
   return discs;
 }
 
@@ -220,7 +221,7 @@ Json PathToJson(const PrescribedMotion& motion) {
     for (int part = 0; part < kParts + (i + 2 == motion.times.size()); ++part) {
       const double time = motion.times[i] + (motion.times[i + 1] - motion.times[i]) * part / kParts;
       json["times"].push_back(time);
-      json["points"].push_back(path.At(time).position);
+      json["points"].push_back(path.SampleAt(time).position);
     }
   }
   return json;

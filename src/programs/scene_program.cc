@@ -69,24 +69,25 @@ Table LaunchTable(const std::vector<LaunchSolution>& launches) {
 // The gradient in --given beside the reference.
 struct GivenAudit {
   std::string name;
-  std::vector<GivenEntry> entries;
+  std::vector<ExternalGradientEntry> entries;
 };
 
 Json GivenToJson(const GivenAudit& audit) {
   Json entries = Json::array();
-  for (const GivenEntry& entry : audit.entries) {
+  for (const ExternalGradientEntry& entry : audit.entries) {
     Json& item = entries.emplace_back();
     SALTUS_ADD_MEMBERS(&item, entry, entry, given, exact);
     item["verdict"] = VerdictToString(entry.verdict);
   }
-  return {{"name", audit.name}, {"verdict", VerdictToString(WorstOf(audit.entries))}, {"entries", std::move(entries)}};
+  return {
+      {"name", audit.name}, {"verdict", VerdictToString(WorstVerdict(audit.entries))}, {"entries", std::move(entries)}};
 }
 
-Table GivenTable(const std::vector<GivenEntry>& entries) {
+Table GivenTable(const std::vector<ExternalGradientEntry>& entries) {
   Table table(ColumnsOf("entry; given:5; exact:9; verdict"));
-  for (const GivenEntry& entry : entries) {
+  for (const ExternalGradientEntry& entry : entries) {
     table.AddRow(
-        {entry.entry, entry.given, entry.exact, Cell(VerdictToString(entry.verdict)).With(ToneOf(entry.verdict))});
+        {entry.entry, entry.given, entry.exact, Cell(VerdictToString(entry.verdict)).WithTone(ToneOf(entry.verdict))});
   }
   return table;
 }
@@ -127,7 +128,7 @@ void PrintDocument(const Request& request, const Results& results) {
     if (!request.states) throw;
   }
   HoldMemoryBackAgain();
-  print(WithoutStates(request));
+  print(OmitStates(request));
   throw std::bad_alloc();
 }
 
@@ -135,7 +136,8 @@ void PrintTables(const Request& request, const Results& results) {
   const TextLayout layout = LayoutOfStandardOutput();
   if (results.audit) PrintAuditTable(request, *results.audit);
   if (results.given) {
-    std::cout << Paragraph(results.given->name + ": " + VerdictToString(WorstOf(results.given->entries)), layout.width)
+    std::cout << Paragraph(results.given->name + ": " + VerdictToString(WorstVerdict(results.given->entries)),
+                           layout.width)
               << "\n"
               << GivenTable(results.given->entries).ToText(layout) << std::endl;
   }
@@ -148,7 +150,7 @@ void AddSections(const Request& request, const Results& results, Page* page) {
   if (results.audit) AddAuditSections(request, *results.audit, page);
   if (results.HasRuns()) AddSolveSections(request, *results.solved, page);
   page->AddTableIfAny(LaunchTable(results.launches), kLaunches + std::string("."));
-  page->SetResults(ToJson(WithoutStates(request), results));
+  page->SetResults(ToJson(OmitStates(request), results));
 }
 
 int RunSceneProgram(int argc, char** argv, const Program& program, const ProgramDefaults& defaults, Parts parts) {
@@ -162,13 +164,13 @@ int RunSceneProgram(int argc, char** argv, const Program& program, const Program
     if (!simulators.empty() && request.options.surrogate) {
       throw InputError("--simulate: a simulator has no surrogate gradients; expected no --surrogate with it");
     }
-    std::optional<GivenGradient> given;
-    if (!FLAGS_given.empty()) given = ReadGivenGradient(FLAGS_given, request.scene);
+    std::optional<ExternalGradient> given;
+    if (!FLAGS_given.empty()) given = ReadExternalGradient(FLAGS_given, request.scene);
     const InterruptGuard guard;
     Results results;
     if (parts.audit) results.audit = RunAudit(request, given.has_value(), simulators);
     if (given && results.audit->reference) {
-      results.given = {given->name, JudgeGiven(request.scene, *given, *results.audit->reference)};
+      results.given = {given->name, JudgeExternalGradient(request.scene, *given, *results.audit->reference)};
     }
     if (parts.solve) {
       results.solved = parts.audit && request.solvers.empty() ? SolvedRuns() : SolveAll(request);
@@ -186,7 +188,7 @@ int RunSceneProgram(int argc, char** argv, const Program& program, const Program
     int code = kDone;
     if (results.audit) code = AuditExitCode(request, *results.audit, simulators.size());
     if (results.solved) code = std::max(code, SolveExitCode(*results.solved));
-    const bool wrong = FLAGS_fail_on_wrong && results.given && IsWrong(WorstOf(results.given->entries));
+    const bool wrong = FLAGS_fail_on_wrong && results.given && IsWrong(WorstVerdict(results.given->entries));
     return wrong ? std::max(code, kAnswerFailed) : code;
   });
 }

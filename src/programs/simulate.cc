@@ -4,7 +4,7 @@
 #include <iostream>
 #include <string>
 
-#include "blackbox/speaker.h"
+#include "blackbox/protocol_server.h"
 #include "programs/program.h"
 
 DEFINE_string(offer, "gradient,step,states",
@@ -15,8 +15,8 @@ DECLARE_string(precision);
 namespace saltus {
 namespace {
 
-Offer ReadOffer() {
-  Offer offer{false, false, false};
+ServerCapabilities ReadOffer() {
+  ServerCapabilities offer{false, false, false};
   if (FLAGS_offer == "none") return offer;
   for (const std::string& name : Split(FLAGS_offer)) {
     bool* given = name == "gradient" ? &offer.gradient : name == "step" ? &offer.step : &offer.states;
@@ -33,12 +33,12 @@ Offer ReadOffer() {
 int SimulateMain(int argc, char** argv) {
   return RunMain(argc, argv, FindProgram("saltus_simulate"), [] {
     if (FLAGS_contact == "all") throw InputError("--contact=NAME is needed; saltus_audit --contact=list lists them");
-    if (const std::string wrong = WhatIsWrongWith(FLAGS_contact); !wrong.empty()) {
+    if (const std::string wrong = Validate(FLAGS_contact); !wrong.empty()) {
       throw InputError("--contact=" + FLAGS_contact + ": " + wrong);
     }
-    Speaker speaker(FLAGS_contact, PrecisionFromFlags(), ReadOffer());
+    ProtocolServer speaker(FLAGS_contact, PrecisionFromFlags(), ReadOffer());
     for (std::string line; std::getline(std::cin, line);) {
-      if (!line.empty()) std::cout << speaker.AnswerTo(line) << std::endl;
+      if (!line.empty()) std::cout << speaker.ComputeAnswer(line) << std::endl;
     }
     return kDone;
   });

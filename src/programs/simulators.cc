@@ -140,7 +140,7 @@ const SimulatorCommand* FindSimulator(const std::string& contact) {
 }
 
 Contact ContactNamed(const std::string& contact, const Scene& scene) {
-  return FindSimulator(contact) == nullptr ? Contact(contact) : MeasuredContactOf(OpenedOnce(contact), scene);
+  return FindSimulator(contact) == nullptr ? Contact(contact) : MakeMeasuredContact(OpenedOnce(contact), scene);
 }
 
 bool HasFailed(const std::string& contact, const Scene& scene) {

@@ -23,8 +23,8 @@ std::string ReasonAndRemarks(const SolvedRun& run, const Remarks& remarks) {
   return text;
 }
 
-SolvedRun WithoutLosses(const std::string& solver, const std::string& contact, Termination termination,
-                        const std::string& reason) {
+SolvedRun MakeRunWithoutLosses(const std::string& solver, const std::string& contact, Termination termination,
+                               const std::string& reason) {
   SolvedRun run;
   run.report.solver = solver;
   run.report.contact = contact;
@@ -101,7 +101,7 @@ SolvedRuns SolveAll(const Request& request) {
         const auto& [contact, solver] = tasks[i];
         SolverOptions options = request.options;
         if (tasks.size() == 1) options.threads = request.threads;
-        options.monitor.stop = AskedToStop;
+        options.monitor.stop = IsStopRequested;
         options.monitor.status = say;
         try {
           const SolveRequest task{request.scene, contact, request.precision};
@@ -115,22 +115,22 @@ SolvedRuns SolveAll(const Request& request) {
           return run;
         } catch (const std::bad_alloc&) {
           HoldMemoryBackAgain();
-          return WithoutLosses(solver, contact, Termination::kFailed, kMemoryRanOut);
+          return MakeRunWithoutLosses(solver, contact, Termination::kFailed, kMemoryRanOut);
         }
       });
   SolvedRuns solved;
   solved.interrupted = !done.complete;
   for (size_t i = 0; i < tasks.size(); ++i) {
     if (!done.started[i]) continue;
-    solved.runs.push_back(
-        done.results[i].value_or(WithoutLosses(tasks[i].solver, tasks[i].contact, Termination::kInterrupted, "")));
+    solved.runs.push_back(done.results[i].value_or(
+        MakeRunWithoutLosses(tasks[i].solver, tasks[i].contact, Termination::kInterrupted, "")));
     solved.runs.back().asked = tasks[i].solver;
     solved.interrupted |= solved.runs.back().report.termination == Termination::kInterrupted;
   }
   return solved;
 }
 
-std::string WhyNoAnswer(const SolveReport& report) {
+std::string ReasonNoSolution(const SolveReport& report) {
   if (report.termination == Termination::kNotApplicable) return "";
   if (report.termination == Termination::kFailed) return "failed, " + report.reason;
   if (report.termination != Termination::kConverged) return TerminationToString(report.termination);
@@ -200,7 +200,7 @@ int SolveExitCode(const SolvedRuns& solved) {
   if (const int code = FeedbackExitCode(StudiesOf(solved)); code != kDone) return code;
   std::vector<std::string> failed;
   for (const SolvedRun& run : runs) {
-    const std::string why = WhyNoAnswer(run.report);
+    const std::string why = ReasonNoSolution(run.report);
     if (!why.empty()) failed.push_back(run.report.contact + " " + run.report.solver + ": " + why);
   }
   if (!failed.empty()) {

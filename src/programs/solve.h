@@ -66,7 +66,7 @@ SolvedRuns SolveAll(const Request& request);
 
 // Returns the reason why a run is no answer, in a few words: it did not converge, its defects are open, or it ends
 // worse than it began. Empty if it is one, and for solvers that are not applicable.
-std::string WhyNoAnswer(const SolveReport& report);
+std::string ReasonNoSolution(const SolveReport& report);
 
 Table RunTable(const SolvedRuns& solved);
 void PrintSolveTable(const Request& request, const SolvedRuns& solved);

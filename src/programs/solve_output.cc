@@ -126,7 +126,7 @@ Motions MotionsOf(const Request& request, const SolvedRun& run) {
   MotionOptions options;
   options.most_bytes = request.options.limits.memory;
   Motions motions{MotionOf(request, run.report, false, options), MotionOf(request, run.report, true, options)};
-  if (motions.own.failure.empty()) motions.own = AtNodes(motions.own, NodesOf(request.scene, run.report));
+  if (motions.own.failure.empty()) motions.own = StatesAtNodes(motions.own, NodesOf(request.scene, run.report));
   for (const auto& [name, motion] : {std::pair("", &motions.own), std::pair("exact ", &motions.exact)}) {
     if (motion->failure.empty()) continue;
     std::cerr << "no " << name << "states of " << run.report.contact << " " << run.report.solver << ": "
@@ -238,7 +238,7 @@ std::string SolutionFileName(const Request& request, const SolvedRuns& solved, c
 
 void WriteSolution(const Request& request, const SolvedRuns& solved, const SolvedRun& run) {
   const std::string path = request.output_dir + "/" + SolutionFileName(request, solved, run);
-  const auto write = [&](const Motions* motions) { OrOutputError(WriteNpz(path, ArraysOf(request, run, motions))); };
+  const auto write = [&](const Motions* motions) { ThrowIfFailed(WriteNpz(path, ArraysOf(request, run, motions))); };
   try {
     const Motions motions = MotionsOf(request, run);
     return write(&motions);
@@ -369,7 +369,7 @@ std::vector<Tile> TilesOf(const Request& request, const SolvedRuns& solved) {
     tiles.push_back({Cell(*runs[0]->duration).Display(6) + " s", "duration, by " + LabelOfRun(runs[0]->report)});
   }
   const auto failed =
-      std::ranges::count_if(solved.runs, [](const SolvedRun& run) { return !WhyNoAnswer(run.report).empty(); });
+      std::ranges::count_if(solved.runs, [](const SolvedRun& run) { return !ReasonNoSolution(run.report).empty(); });
   const auto refused = std::ranges::count_if(
       solved.runs, [](const SolvedRun& run) { return run.report.termination == Termination::kNotApplicable; });
   const auto taken = static_cast<std::ptrdiff_t>(solved.runs.size()) - refused;
@@ -564,7 +564,7 @@ Json SolveToJson(const Request& request, const SolvedRuns& solved) {
       if (report.continuous) {
         item["continuous_certificate"] = CertificateToJson(request.scene, *report.continuous, "continuous_time");
       }
-      if (report.searched) item["searched"] = SearchedToJson(*report.searched);
+      if (report.searched) item["searched"] = SearchStatisticsToJson(*report.searched);
       if (!report.optima.empty()) item["optima"] = OptimaToJson(request.scene, report.optima);
       if (request.scene.optimize == Optimize::kPosition) {
         item["position"] = VectorsToJson(request.scene, report.solution.initial_state, 0);
@@ -596,7 +596,7 @@ void AddFeedback(const Request& request, int threads, SolvedRun* run) {
 void WriteSolveReport(const Request& request, const SolvedRuns& solved) {
   WriteReport(request, [&](Page* page) {
     AddSolveSections(request, solved, page);
-    page->SetResults(SolveToJson(WithoutStates(request), solved));
+    page->SetResults(SolveToJson(OmitStates(request), solved));
   });
 }
 

@@ -49,12 +49,12 @@ class Draw {
   // Returns a number of either sign, whose magnitude is between `low` and `high`.
   double Sideways(double low, double high) {
     const double number = Number(low, high);
-    return random_.Below(2) == 0 ? -number : number;
+    return random_.UniformIndex(2) == 0 ? -number : number;
   }
   // Returns a weight of the effort; each order of magnitude is as likely.
   double Effort() {
     constexpr double kEfforts[] = {0.002, 0.005, 0.01, 0.02, 0.05, 0.1};
-    return kEfforts[random_.Below(6)];
+    return kEfforts[random_.UniformIndex(6)];
   }
   Vec2d Direction() {
     while (true) {
@@ -68,7 +68,7 @@ class Draw {
     return Rounded(Number(shortest, longest) * direction);
   }
   // Returns the position with coordinates along and across the way of the pushed disc, from its start.
-  Vec2d At(const Vec2d& place) const { return Rounded(place[0] * aim_ + place[1] * side_); }
+  Vec2d ToSceneFrame(const Vec2d& place) const { return Rounded(place[0] * aim_ + place[1] * side_); }
 
   void AddDisc(const std::string& name, const Vec2d& position) {
     Body disc{.name = name, .radius = Number(0.08, 0.18), .mass = Number(0.5, 2), .position = position};
@@ -82,9 +82,9 @@ class Draw {
   void MakePair() {
     scene_.control.bodies = {0};
     AddDisc("striker", {0, 0});
-    AddDisc("target", At({way_, Number(-0.1, 0.1)}));
-    AimAt(1, At({way_ + Number(0.2, 0.9), Number(-0.4, 0.4)}));
-    if (random_.Below(4) == 0) {
+    AddDisc("target", ToSceneFrame({way_, Number(-0.1, 0.1)}));
+    AimAt(1, ToSceneFrame({way_ + Number(0.2, 0.9), Number(-0.4, 0.4)}));
+    if (random_.UniformIndex(4) == 0) {
       scene_.objective.terminal.push_back(
           {.body = 0, .quantity = TerminalTerm::Quantity::kVelocity, .target = {0, 0}, .weight = Number(0.01, 0.1)});
     }
@@ -92,12 +92,12 @@ class Draw {
 
   void AddWall() {
     const Vec2d out = Rounded(aim_ + Number(-1, 1) * side_);
-    scene_.planes = {{"wall", At({Number(1.2, 1.8) * way_, Number(-0.3, 0.3)}), -out}};
+    scene_.planes = {{"wall", ToSceneFrame({Number(1.2, 1.8) * way_, Number(-0.3, 0.3)}), -out}};
   }
 
   void EncloseInBox() {
     const double half = Number(0.8, 1.2) * way_ + 0.4;
-    const Vec2d middle = At({0.5 * way_, 0});
+    const Vec2d middle = ToSceneFrame({0.5 * way_, 0});
     const auto wall = [&](const char* name, double x, double y) {
       scene_.planes.push_back({name, Rounded(middle - half * Vec2d(x, y)), {x, y}});
     };
@@ -109,27 +109,27 @@ class Draw {
   }
 
   void AddChain() {
-    const int links = 1 + random_.Below(3);
+    const int links = 1 + random_.UniformIndex(3);
     for (int i = 0; i < links; ++i) {
-      AddDisc("link" + std::to_string(i), At({way_ * (i + 1) / (links + 1), Number(-0.06, 0.06)}));
+      AddDisc("link" + std::to_string(i), ToSceneFrame({way_ * (i + 1) / (links + 1), Number(-0.06, 0.06)}));
       scene_.bodies.back().radius = Number(0.05, 0.09);
     }
   }
 
   void AddSecondTarget() {
-    AddDisc("other", At({way_ * Number(0.5, 1.3), Sideways(0.3, 0.7)}));
-    AimAt(2, At({way_ * Number(0.8, 1.6), Number(-0.9, 0.9)}));
+    AddDisc("other", ToSceneFrame({way_ * Number(0.5, 1.3), Sideways(0.3, 0.7)}));
+    AimAt(2, ToSceneFrame({way_ * Number(0.8, 1.6), Number(-0.9, 0.9)}));
   }
 
   void AddSecondPushed() {
-    AddDisc("helper", At({way_ * Number(0.5, 1.8), Sideways(0.4, 0.9)}));
+    AddDisc("helper", ToSceneFrame({way_ * Number(0.5, 1.8), Sideways(0.4, 0.9)}));
     scene_.control.bodies = {0, 2};
   }
 
   void AddPosts() {
-    const int posts = 1 + random_.Below(3);
+    const int posts = 1 + random_.UniformIndex(3);
     for (int i = 0; i < posts; ++i) {
-      AddPost("post" + std::to_string(i), At({way_ * Number(0.3, 1.6), Sideways(0.15, 0.6)}));
+      AddPost("post" + std::to_string(i), ToSceneFrame({way_ * Number(0.3, 1.6), Sideways(0.15, 0.6)}));
     }
   }
 

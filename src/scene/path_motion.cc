@@ -56,7 +56,7 @@ PathMotion::PathMotion(const PrescribedMotion& path) : times_(path.times), posit
   for (std::size_t i = n; i-- > 0;) slopes_[i] = (slopes_[i] - above[i] * slopes_[i + 1]) / diagonal[i];
 }
 
-PathMotion::Point PathMotion::At(double time) const {
+PathMotion::Point PathMotion::SampleAt(double time) const {
   const auto next = std::upper_bound(times_.begin() + 1, times_.end() - 1, time);
   const std::size_t i = next - times_.begin() - 1;
   const double h = times_[i + 1] - times_[i], s = time - times_[i];
@@ -68,10 +68,10 @@ PathMotion::Point PathMotion::At(double time) const {
           6 * third};
 }
 
-Scene FromTimeOn(Scene scene, double time) {
+Scene ShiftTimeOrigin(Scene scene, double time) {
   const auto move = [time](std::optional<PrescribedMotion>* path, Vec2d* position) {
     if (!*path) return;
-    *position = PathMotion(**path).At(time).position;
+    *position = PathMotion(**path).SampleAt(time).position;
     for (double& node : (*path)->times) node -= time;
   };
   for (Body& body : scene.bodies) move(&body.path, &body.position);

@@ -19,7 +19,7 @@ class PathMotion {
   struct Point {
     Vec2d position, velocity, acceleration, jerk;  // m, m/s, m/s^2, m/s^3
   };
-  Point At(double time) const;
+  Point SampleAt(double time) const;
 
  private:
   std::vector<double> times_;
@@ -27,6 +27,6 @@ class PathMotion {
 };
 
 // The scene from `time` on: its paths begin earlier by that time, and what has a path is where that is then.
-Scene FromTimeOn(Scene scene, double time);
+Scene ShiftTimeOrigin(Scene scene, double time);
 
 }  // namespace saltus

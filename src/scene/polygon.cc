@@ -9,7 +9,7 @@ namespace {
 double Cross(const Vec2d& a, const Vec2d& b) { return a[0] * b[1] - a[1] * b[0]; }
 
 // Whether the line segments a-b and c-d have a point in common.
-bool Meet(const Vec2d& a, const Vec2d& b, const Vec2d& c, const Vec2d& d) {
+bool SegmentsIntersect(const Vec2d& a, const Vec2d& b, const Vec2d& c, const Vec2d& d) {
   for (int j = 0; j < 2; ++j) {
     if (std::max(a[j], b[j]) < std::min(c[j], d[j]) || std::max(c[j], d[j]) < std::min(a[j], b[j])) return false;
   }
@@ -41,7 +41,7 @@ bool AreCollinear(const std::vector<Vec2d>& points) {
 
 }  // namespace
 
-std::string WhyNoPolygon(const std::vector<Vec2d>& points, bool crossings) {
+std::string ValidatePolygon(const std::vector<Vec2d>& points, bool crossings) {
   const std::size_t n = points.size();
   if (n < 3) return "found " + std::to_string(n) + " points, expected at least three corners";
   const auto at = [&](std::size_t i) { return points[i % n]; };
@@ -53,7 +53,7 @@ std::string WhyNoPolygon(const std::vector<Vec2d>& points, bool crossings) {
   for (std::size_t i = 0; crossings && i < n; ++i) {
     for (std::size_t j = i + 2; j < n; ++j) {
       const bool neighbours = (j + 1) % n == i;
-      if (neighbours || !Meet(at(i), at(i + 1), at(j), at(j + 1))) continue;
+      if (neighbours || !SegmentsIntersect(at(i), at(i + 1), at(j), at(j + 1))) continue;
       return "found sides " + std::to_string(i) + " and " + std::to_string(j) + " that meet, expected sides apart";
     }
   }

@@ -10,9 +10,9 @@ namespace saltus {
 
 // Returns the reason why the points are not the corners of a simple polygon in counter-clockwise order; empty if they
 // are. Crossings of sides are checked only if `crossings`, which takes quadratic time.
-std::string WhyNoPolygon(const std::vector<Vec2d>& points, bool crossings);
+std::string ValidatePolygon(const std::vector<Vec2d>& points, bool crossings);
 
-// Whether x is inside. Precondition: WhyNoPolygon(points) is empty.
+// Whether x is inside. Precondition: ValidatePolygon(points) is empty.
 bool IsInside(const Vec2d& x, const std::vector<Vec2d>& points);
 
 }  // namespace saltus

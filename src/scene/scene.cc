@@ -62,7 +62,7 @@ struct Key {
   }
 };
 
-Key At(const char* list, std::size_t index, const char* field = nullptr) { return {list, index, field}; }
+Key KeyAt(const char* list, std::size_t index, const char* field = nullptr) { return {list, index, field}; }
 
 bool IsConverted(const Scene& scene) {
   Units given;
@@ -154,12 +154,13 @@ class Rules {
     if (bodies.empty()) return;
     std::vector<bool> seen(scene_.bodies.size(), false);
     for (std::size_t i = 0; i < bodies.size(); ++i) {
-      if (!BodyIndex(At(list, i), bodies[i])) return;
+      if (!BodyIndex(KeyAt(list, i), bodies[i])) return;
       const Body& body = scene_.bodies[bodies[i]];
-      Expect(!body.fixed, At(list, i), [&] {
+      Expect(!body.fixed, KeyAt(list, i), [&] {
         return "found " + body.name + ", which is fixed; expected a body that moves";
       });
-      Expect(!seen[bodies[i]], At(list, i), [&] { return "found " + body.name + " twice; expected each body once"; });
+      Expect(
+          !seen[bodies[i]], KeyAt(list, i), [&] { return "found " + body.name + " twice; expected each body once"; });
       seen[bodies[i]] = true;
     }
   }
@@ -186,17 +187,18 @@ class Rules {
     Expect(!scene_.bodies.empty(), {"bodies"}, "found none, expected at least one body");
     for (std::size_t i = 0; i < scene_.bodies.size() && !error_; ++i) {
       const Body& body = scene_.bodies[i];
-      UniqueName(At("bodies", i, "name"), body.name);
-      Number(At("bodies", i, "radius"), body.radius, in_.positive);
-      if (!body.fixed) Number(At("bodies", i, "mass"), body.mass, in_.positive);
-      Vector(At("bodies", i, "position"), body.position);
-      Vector(At("bodies", i, "velocity"), body.velocity);
+      UniqueName(KeyAt("bodies", i, "name"), body.name);
+      Number(KeyAt("bodies", i, "radius"), body.radius, in_.positive);
+      if (!body.fixed) Number(KeyAt("bodies", i, "mass"), body.mass, in_.positive);
+      Vector(KeyAt("bodies", i, "position"), body.position);
+      Vector(KeyAt("bodies", i, "velocity"), body.velocity);
       if (body.path) {
-        Expect(body.fixed, At("bodies", i, "path"), "found a path of a body that moves freely, expected a fixed body");
+        Expect(
+            body.fixed, KeyAt("bodies", i, "path"), "found a path of a body that moves freely, expected a fixed body");
         CheckPath("bodies", i, "path", *body.path);
       }
       if (body.fixed)
-        Expect(body.velocity.isZero(0), At("bodies", i, "velocity"), "expected [0, 0]: the body is fixed");
+        Expect(body.velocity.isZero(0), KeyAt("bodies", i, "velocity"), "expected [0, 0]: the body is fixed");
       CheckSpin(i);
     }
   }
@@ -204,19 +206,20 @@ class Rules {
   void CheckSpin(std::size_t i) {
     const Body& body = scene_.bodies[i];
     if (body.inertia.kind == Inertia::Kind::kGiven)
-      Number(At("bodies", i, "inertia"), body.inertia.moment, in_.positive);
-    Expect(
-        !body.Spins() || !body.fixed, At("bodies", i, "inertia"), "found an inertia, expected none: the body is fixed");
-    Number(At("bodies", i, "angle"), body.angle, in_.any);
-    Number(At("bodies", i, "angular_velocity"), body.angular_velocity, in_.any);
+      Number(KeyAt("bodies", i, "inertia"), body.inertia.moment, in_.positive);
+    Expect(!body.Spins() || !body.fixed,
+           KeyAt("bodies", i, "inertia"),
+           "found an inertia, expected none: the body is fixed");
+    Number(KeyAt("bodies", i, "angle"), body.angle, in_.any);
+    Number(KeyAt("bodies", i, "angular_velocity"), body.angular_velocity, in_.any);
     if (body.Spins()) return;
     constexpr char kNoInertia[] = "expected 0, or inertia: solid or a number in kg m^2: without inertia it cannot spin";
-    Expect(body.angle == 0, At("bodies", i, "angle"), kNoInertia);
-    Expect(body.angular_velocity == 0, At("bodies", i, "angular_velocity"), kNoInertia);
+    Expect(body.angle == 0, KeyAt("bodies", i, "angle"), kNoInertia);
+    Expect(body.angular_velocity == 0, KeyAt("bodies", i, "angular_velocity"), kNoInertia);
   }
 
   void CheckPath(const char* list, std::size_t i, const char* field, const PrescribedMotion& path) {
-    const Key key = At(list, i, field);
+    const Key key = KeyAt(list, i, field);
     Expect(path.times.size() >= 2 && path.times.size() == path.positions.size(), key, [&] {
       return "found " + std::to_string(path.times.size()) + " times and " + std::to_string(path.positions.size()) +
              " positions, expected at least two, and a position for each time";
@@ -241,12 +244,12 @@ class Rules {
   void CheckPlanes() {
     for (std::size_t i = 0; i < scene_.planes.size() && !error_; ++i) {
       const Plane& plane = scene_.planes[i];
-      UniqueName(At("planes", i, "name"), plane.name);
-      Vector(At("planes", i, "point"), plane.point);
+      UniqueName(KeyAt("planes", i, "name"), plane.name);
+      Vector(KeyAt("planes", i, "point"), plane.point);
       if (plane.motion) CheckPath("planes", i, "motion", *plane.motion);
-      Vector(At("planes", i, "normal"), plane.normal);
+      Vector(KeyAt("planes", i, "normal"), plane.normal);
       const double length = std::hypot(plane.normal[0], plane.normal[1]);
-      Expect(length >= kSmallestPositive, At("planes", i, "normal"), [&] {
+      Expect(length >= kSmallestPositive, KeyAt("planes", i, "normal"), [&] {
         return "found a vector of length " + ToText(length) + ", expected one of length at least 1e-24";
       });
     }
@@ -255,11 +258,11 @@ class Rules {
   void CheckSegments() {
     for (std::size_t i = 0; i < scene_.segments.size() && !error_; ++i) {
       const EdgeSegment& segment = scene_.segments[i];
-      UniqueName(At("segments", i, "name"), segment.name);
-      Vector(At("segments", i, "from"), segment.from);
-      Vector(At("segments", i, "to"), segment.to);
+      UniqueName(KeyAt("segments", i, "name"), segment.name);
+      Vector(KeyAt("segments", i, "from"), segment.from);
+      Vector(KeyAt("segments", i, "to"), segment.to);
       Expect((segment.to - segment.from).norm() >= in_.positive.low,
-             At("segments", i, "to"),
+             KeyAt("segments", i, "to"),
              "found the point where it begins, expected another: a segment has a length");
     }
   }
@@ -267,27 +270,27 @@ class Rules {
   void CheckPolygons() {
     for (std::size_t i = 0; i < scene_.polygons.size() && !error_; ++i) {
       const EdgePolygon& polygon = scene_.polygons[i];
-      UniqueName(At("polygons", i, "name"), polygon.name);
+      UniqueName(KeyAt("polygons", i, "name"), polygon.name);
       for (std::size_t k = 0; k < polygon.points.size(); ++k) {
         for (int j = 0; j < 2; ++j) {
           Number({"polygons", i, "points", static_cast<int>(k)}, polygon.points[k][j], in_.any);
         }
       }
       if (error_) return;
-      const std::string wrong = WhyNoPolygon(polygon.points, all_);
-      Expect(wrong.empty(), At("polygons", i, "points"), [&] { return wrong; });
+      const std::string wrong = ValidatePolygon(polygon.points, all_);
+      Expect(wrong.empty(), KeyAt("polygons", i, "points"), [&] { return wrong; });
     }
   }
 
   void CheckArcs() {
     for (std::size_t i = 0; i < scene_.arcs.size() && !error_; ++i) {
       const EdgeArc& arc = scene_.arcs[i];
-      UniqueName(At("arcs", i, "name"), arc.name);
-      Vector(At("arcs", i, "center"), arc.center);
-      Number(At("arcs", i, "radius"), arc.radius, in_.positive);
-      Number(At("arcs", i, "from"), arc.from, in_.any);
+      UniqueName(KeyAt("arcs", i, "name"), arc.name);
+      Vector(KeyAt("arcs", i, "center"), arc.center);
+      Number(KeyAt("arcs", i, "radius"), arc.radius, in_.positive);
+      Number(KeyAt("arcs", i, "from"), arc.from, in_.any);
       const double turn = arc.to - arc.from;
-      Expect(turn > 0 && turn <= 2 * std::numbers::pi * (1 + 1e-9), At("arcs", i, "to"), [&] {
+      Expect(turn > 0 && turn <= 2 * std::numbers::pi * (1 + 1e-9), KeyAt("arcs", i, "to"), [&] {
         return "found " + ToText(arc.to) + " rad, expected more than from, by at most a full turn";
       });
     }
@@ -296,9 +299,9 @@ class Rules {
   void CheckPockets() {
     for (std::size_t i = 0; i < scene_.pockets.size() && !error_; ++i) {
       const Pocket& pocket = scene_.pockets[i];
-      UniqueName(At("pockets", i, "name"), pocket.name);
-      Vector(At("pockets", i, "position"), pocket.position);
-      Number(At("pockets", i, "radius"), pocket.radius, in_.positive);
+      UniqueName(KeyAt("pockets", i, "name"), pocket.name);
+      Vector(KeyAt("pockets", i, "position"), pocket.position);
+      Number(KeyAt("pockets", i, "radius"), pocket.radius, in_.positive);
     }
   }
 
@@ -318,20 +321,20 @@ class Rules {
     std::set<int> dragged;
     for (std::size_t i = 0; i < scene_.forces.size() && !error_; ++i) {
       if (const auto* drag = std::get_if<Drag>(&scene_.forces[i])) {
-        movable(At("forces", i, "drag.body"), drag->body);
+        movable(KeyAt("forces", i, "drag.body"), drag->body);
         const bool is_new = dragged.insert(drag->body).second;
-        Expect(is_new, At("forces", i, "drag.body"), "found it again, expected the drag of each body once");
-        Number(At("forces", i, "drag.linear"), drag->linear, in_.not_negative);
+        Expect(is_new, KeyAt("forces", i, "drag.body"), "found it again, expected the drag of each body once");
+        Number(KeyAt("forces", i, "drag.linear"), drag->linear, in_.not_negative);
         continue;
       }
       const auto& spring = std::get<Spring>(scene_.forces[i]);
-      movable(At("forces", i, "spring.body"), spring.body);
-      if (spring.to != -1) BodyIndex(At("forces", i, "spring.to"), spring.to);
-      Expect(spring.to != spring.body, At("forces", i, "spring.to"), "found the body itself, expected another body");
-      Vector(At("forces", i, "spring.to"), spring.point);
-      Number(At("forces", i, "spring.stiffness"), spring.stiffness, in_.not_negative);
-      Number(At("forces", i, "spring.length"), spring.length, in_.not_negative);
-      Number(At("forces", i, "spring.damping"), spring.damping, in_.not_negative);
+      movable(KeyAt("forces", i, "spring.body"), spring.body);
+      if (spring.to != -1) BodyIndex(KeyAt("forces", i, "spring.to"), spring.to);
+      Expect(spring.to != spring.body, KeyAt("forces", i, "spring.to"), "found the body itself, expected another body");
+      Vector(KeyAt("forces", i, "spring.to"), spring.point);
+      Number(KeyAt("forces", i, "spring.stiffness"), spring.stiffness, in_.not_negative);
+      Number(KeyAt("forces", i, "spring.length"), spring.length, in_.not_negative);
+      Number(KeyAt("forces", i, "spring.damping"), spring.damping, in_.not_negative);
     }
     constexpr char kAlone[] =
         "found drag or springs in a scene with a table or pockets, whose discs stop on exact arcs; "
@@ -365,14 +368,14 @@ class Rules {
     std::map<std::pair<int, int>, std::size_t> known;
     for (std::size_t i = 0; i < scene_.pairs.size() && !error_; ++i) {
       const MaterialPair& pair = scene_.pairs[i];
-      for (const int material : {pair.a, pair.b}) MaterialIndex(At("pairs", i, "between"), material);
+      for (const int material : {pair.a, pair.b}) MaterialIndex(KeyAt("pairs", i, "between"), material);
       const auto [first, is_new] = known.emplace(std::minmax(pair.a, pair.b), i);
-      Expect(is_new, At("pairs", i, "between"), [&, &first = first] {
+      Expect(is_new, KeyAt("pairs", i, "between"), [&, &first = first] {
         return "found the pair of pairs[" + std::to_string(first->second) + "] again, expected each pair once";
       });
-      Expect(pair.restitution || pair.friction, At("pairs", i), "expected restitution, friction or both");
-      Number(At("pairs", i, "restitution"), pair.restitution.value_or(0), kFraction);
-      Number(At("pairs", i, "friction"), pair.friction.value_or(0), in_.not_negative);
+      Expect(pair.restitution || pair.friction, KeyAt("pairs", i), "expected restitution, friction or both");
+      Number(KeyAt("pairs", i, "restitution"), pair.restitution.value_or(0), kFraction);
+      Number(KeyAt("pairs", i, "friction"), pair.friction.value_or(0), in_.not_negative);
     }
     MaterialsOf("bodies", scene_.bodies);
     MaterialsOf("planes", scene_.planes);
@@ -387,7 +390,7 @@ class Rules {
   }
   template <typename Thing>
   void MaterialsOf(const char* list, const std::vector<Thing>& things) {
-    for (std::size_t i = 0; i < things.size(); ++i) MaterialIndex(At(list, i, "material"), things[i].material);
+    for (std::size_t i = 0; i < things.size(); ++i) MaterialIndex(KeyAt(list, i, "material"), things[i].material);
   }
 
   void CheckControl() {
@@ -397,37 +400,37 @@ class Rules {
       return "found " + std::to_string(control.initial.size()) + " forces, expected one for each of the " +
              std::to_string(control.bodies.size()) + " controlled bodies";
     });
-    for (std::size_t i = 0; i < control.initial.size(); ++i) Vector(At("control.initial", i), control.initial[i]);
+    for (std::size_t i = 0; i < control.initial.size(); ++i) Vector(KeyAt("control.initial", i), control.initial[i]);
     Bounds("control.max", control.max, control.bodies, " controlled bodies");
     Bounds("control.max_norm", control.max_norm, control.bodies, " controlled bodies");
-    CheckTurned();
+    CheckTorques();
     if (!all_) return;
     Expect(scene_.optimize != Optimize::kControl || !control.bodies.empty(),
            {"optimize"},
            "found control, expected velocity, position or none: no body is controlled");
   }
 
-  void CheckTurned() {
+  void CheckTorques() {
     const Control& control = scene_.control;
-    Movable("control.torque", control.turned);
-    for (std::size_t i = 0; i < control.turned.size() && !error_; ++i) {
-      const Body& body = scene_.bodies[control.turned[i]];
+    Movable("control.torque", control.torque_bodies);
+    for (std::size_t i = 0; i < control.torque_bodies.size() && !error_; ++i) {
+      const Body& body = scene_.bodies[control.torque_bodies[i]];
       const auto& bodies = control.bodies;
-      Expect(std::find(bodies.begin(), bodies.end(), control.turned[i]) != bodies.end(), At("control.torque", i), [&] {
-        return "found " + body.name + ", expected one of control.bodies";
-      });
-      Expect(body.Spins(), At("control.torque", i), [&] {
+      Expect(std::find(bodies.begin(), bodies.end(), control.torque_bodies[i]) != bodies.end(),
+             KeyAt("control.torque", i),
+             [&] { return "found " + body.name + ", expected one of control.bodies"; });
+      Expect(body.Spins(), KeyAt("control.torque", i), [&] {
         return "found " + body.name + ", which has no inertia; expected a body that spins";
       });
     }
-    Expect(control.initial_torque.size() == control.turned.size(), {"control.initial"}, [&] {
+    Expect(control.initial_torque.size() == control.torque_bodies.size(), {"control.initial"}, [&] {
       return "found " + std::to_string(control.initial_torque.size()) + " torques, expected one for each of the " +
-             std::to_string(control.turned.size()) + " bodies in control.torque";
+             std::to_string(control.torque_bodies.size()) + " bodies in control.torque";
     });
     for (std::size_t i = 0; i < control.initial_torque.size(); ++i) {
-      Number(At("control.initial", i), control.initial_torque[i], in_.any);
+      Number(KeyAt("control.initial", i), control.initial_torque[i], in_.any);
     }
-    Bounds("control.max_torque", control.max_torque, control.turned, " bodies in control.torque");
+    Bounds("control.max_torque", control.max_torque, control.torque_bodies, " bodies in control.torque");
   }
 
   // Checks bounds: none, or one for each of these bodies.
@@ -436,7 +439,7 @@ class Rules {
       return "found " + std::to_string(bounds.size()) + " bounds, expected one number, or one for each of the " +
              std::to_string(bodies.size()) + which;
     });
-    for (std::size_t i = 0; i < bounds.size(); ++i) Number(At(key, i), bounds[i], in_.positive);
+    for (std::size_t i = 0; i < bounds.size(); ++i) Number(KeyAt(key, i), bounds[i], in_.positive);
   }
 
   void PositionOrVelocity(const Key& key, TerminalTerm::Quantity quantity) {
@@ -450,9 +453,9 @@ class Rules {
   void CheckRunning() {
     for (std::size_t i = 0; i < scene_.objective.running.size(); ++i) {
       const RunningTerm& term = scene_.objective.running[i];
-      BodyIndex(At("objective.running", i, "body"), term.body);
-      PositionOrVelocity(At("objective.running", i, "quantity"), term.quantity);
-      const Key target = At("objective.running", i, "target");
+      BodyIndex(KeyAt("objective.running", i, "body"), term.body);
+      PositionOrVelocity(KeyAt("objective.running", i, "quantity"), term.quantity);
+      const Key target = KeyAt("objective.running", i, "target");
       Expect(!term.times.empty() && term.times.size() == term.targets.size(), target, "expected rows [time, x, y]");
       for (std::size_t k = 0; k < term.times.size() && !error_; ++k) {
         const Key row{target.list, target.index, target.field, static_cast<int>(k)};
@@ -460,18 +463,18 @@ class Rules {
         for (int j = 0; j < 2; ++j) Number(row, term.targets[k][j], in_.any);
         Expect(k == 0 || term.times[k] > term.times[k - 1], row, "expected times that rise from row to row");
       }
-      Number(At("objective.running", i, "weight"), term.weight, in_.not_negative);
+      Number(KeyAt("objective.running", i, "weight"), term.weight, in_.not_negative);
     }
   }
 
   void CheckVia() {
     for (std::size_t i = 0; i < scene_.objective.via.size(); ++i) {
       const ViaTerm& term = scene_.objective.via[i];
-      BodyIndex(At("objective.via", i, "body"), term.body);
-      PositionOrVelocity(At("objective.via", i, "quantity"), term.quantity);
-      Vector(At("objective.via", i, "target"), term.target);
-      Number(At("objective.via", i, "weight"), term.weight, in_.not_negative);
-      Expect(term.time > 0 && term.time < scene_.duration, At("objective.via", i, "time"), [&] {
+      BodyIndex(KeyAt("objective.via", i, "body"), term.body);
+      PositionOrVelocity(KeyAt("objective.via", i, "quantity"), term.quantity);
+      Vector(KeyAt("objective.via", i, "target"), term.target);
+      Number(KeyAt("objective.via", i, "weight"), term.weight, in_.not_negative);
+      Expect(term.time > 0 && term.time < scene_.duration, KeyAt("objective.via", i, "time"), [&] {
         return "found " + ToText(term.time) + ", expected a time strictly between 0 and the duration, " +
                ToText(scene_.duration) + ": terms at its end belong in objective.terminal";
       });
@@ -487,7 +490,7 @@ class Rules {
     Number({"objective.duration.weight"}, duration.weight, in_.not_negative);
     for (std::size_t i = 0; i < scene_.objective.via.size(); ++i) {
       const double time = scene_.objective.via[i].time;
-      Expect(time < duration.max, At("objective.via", i, "time"), [&] {
+      Expect(time < duration.max, KeyAt("objective.via", i, "time"), [&] {
         return "found " + ToText(time) + ", expected a time before objective.duration.max, " + ToText(duration.max);
       });
     }
@@ -496,7 +499,7 @@ class Rules {
   void CheckNoContact() {
     for (std::size_t i = 0; i < scene_.no_contact.size(); ++i) {
       const NoContact& pair = scene_.no_contact[i];
-      const Key key = At("no_contact", i);
+      const Key key = KeyAt("no_contact", i);
       BodyIndex(key, pair.a);
       if (pair.plane) {
         Expect(
@@ -513,7 +516,8 @@ class Rules {
 
   void CheckRegion(std::size_t i, const TerminalTerm& term) {
     const TerminalTerm::Region& region = *term.region;
-    Expect(term.hard, At("objective.terminal", i, "hard"), "found false, expected true: a goal region is a constraint");
+    Expect(
+        term.hard, KeyAt("objective.terminal", i, "hard"), "found false, expected true: a goal region is a constraint");
     const TerminalTerm::Region none;
     bool any = false;
     for (int j = 0; j < 2 && !error_; ++j) {
@@ -524,27 +528,27 @@ class Rules {
       };
       bound("min", region.min[j], none.min[j]);
       bound("max", region.max[j], none.max[j]);
-      Expect(region.min[j] <= region.max[j], At("objective.terminal", i, "min"), [&] {
+      Expect(region.min[j] <= region.max[j], KeyAt("objective.terminal", i, "min"), [&] {
         return "found " + ToText(region.min[j]) + " above max, " + ToText(region.max[j]) + ", expected at most that";
       });
     }
-    Expect(any, At("objective.terminal", i, "min"), "found no bound, expected at least one number in min or max");
+    Expect(any, KeyAt("objective.terminal", i, "min"), "found no bound, expected at least one number in min or max");
     if (error_) return;
-    Expect(!scene_.bodies[term.body].fixed, At("objective.terminal", i, "body"), [&] {
+    Expect(!scene_.bodies[term.body].fixed, KeyAt("objective.terminal", i, "body"), [&] {
       return "found " + scene_.bodies[term.body].name + ", which is fixed; expected a body that moves";
     });
-    Expect(!term.IsOfSpin() || (std::isinf(region.min[1]) && std::isinf(region.max[1])),
-           At("objective.terminal", i, "min"),
+    Expect(!term.IsRotational() || (std::isinf(region.min[1]) && std::isinf(region.max[1])),
+           KeyAt("objective.terminal", i, "min"),
            "expected one number: it is of spin");
   }
 
   void CheckLimits() {
     for (std::size_t i = 0; i < scene_.objective.limits.size(); ++i) {
       const SpeedLimit& limit = scene_.objective.limits[i];
-      BodyIndex(At("objective.limits", i, "body"), limit.body);
-      Number(At("objective.limits", i, "speed"), limit.max, in_.positive);
+      BodyIndex(KeyAt("objective.limits", i, "body"), limit.body);
+      Number(KeyAt("objective.limits", i, "speed"), limit.max, in_.positive);
       if (error_) return;
-      Expect(!scene_.bodies[limit.body].fixed, At("objective.limits", i, "body"), [&] {
+      Expect(!scene_.bodies[limit.body].fixed, KeyAt("objective.limits", i, "body"), [&] {
         return "found " + scene_.bodies[limit.body].name + ", which is fixed; expected a body that moves";
       });
     }
@@ -554,24 +558,24 @@ class Rules {
     const std::vector<TerminalTerm>& terms = scene_.objective.terminal;
     for (std::size_t i = 0; i < terms.size(); ++i) {
       const TerminalTerm& term = terms[i];
-      BodyIndex(At("objective.terminal", i, "body"), term.body);
-      Vector(At("objective.terminal", i, "target"), term.target);
-      Number(At("objective.terminal", i, "weight"), term.weight, term.component ? in_.any : in_.not_negative);
+      BodyIndex(KeyAt("objective.terminal", i, "body"), term.body);
+      Vector(KeyAt("objective.terminal", i, "target"), term.target);
+      Number(KeyAt("objective.terminal", i, "weight"), term.weight, term.component ? in_.any : in_.not_negative);
       Expect(!term.component || *term.component == 0 || *term.component == 1,
-             At("objective.terminal", i, "component"),
+             KeyAt("objective.terminal", i, "component"),
              "expected 0 (x) or 1 (y)");
-      if (term.IsOfSpin() && !error_) {
-        Expect(scene_.bodies[term.body].Spins(), At("objective.terminal", i, "quantity"), [&] {
+      if (term.IsRotational() && !error_) {
+        Expect(scene_.bodies[term.body].Spins(), KeyAt("objective.terminal", i, "quantity"), [&] {
           return std::string("found ") + kQuantities[static_cast<std::size_t>(term.quantity)] +
                  ", expected position or velocity: " + scene_.bodies[term.body].name +
                  " has no inertia and cannot spin";
         });
         Expect(!term.component && term.target[1] == 0,
-               At("objective.terminal", i, "target"),
+               KeyAt("objective.terminal", i, "target"),
                "expected one number, and no component: it is of spin");
       }
       Expect(!term.hard || !term.component,
-             At("objective.terminal", i, "hard"),
+             KeyAt("objective.terminal", i, "hard"),
              "found a terminal equality constraint (hard) with a component, expected a target: a linear term is no "
              "constraint");
       if (term.region) CheckRegion(i, term);
@@ -598,7 +602,7 @@ class Rules {
     Movable("free_spin", scene_.free_spin);
     for (std::size_t i = 0; i < scene_.free_spin.size() && !error_; ++i) {
       const Body& body = scene_.bodies[scene_.free_spin[i]];
-      Expect(body.Spins(), At("free_spin", i), [&] {
+      Expect(body.Spins(), KeyAt("free_spin", i), [&] {
         return "found " + body.name + ", which has no inertia; expected a body that spins";
       });
     }
@@ -659,7 +663,7 @@ class Rules {
           (kind == Kind::kPosition && scene_.bodies[parameter.body].path) ||
           ((kind == Kind::kPlaneOffset || kind == Kind::kPlaneAngle) && scene_.planes[parameter.body].motion);
       Expect(!on_path, key, [&] { return found() + ", expected a position or wall without a prescribed motion"; });
-      const std::vector<int>& turned = scene_.control.turned;
+      const std::vector<int>& turned = scene_.control.torque_bodies;
       const bool of_turned = kind == Kind::kRadius && std::ranges::find(turned, parameter.body) != turned.end();
       Expect(!of_turned, key, [&] { return found() + ", expected the radius of a body without a torque on it"; });
       for (std::size_t j = 0; j < i; ++j) {
@@ -702,7 +706,7 @@ class Rules {
 // Returns the first rule of ValidateStructure that `scene` breaks in its natural units, in which solvers compute.
 std::optional<SceneError> BrokenInNaturalUnits(const Scene& scene) {
   if (scene.units.natural) return std::nullopt;
-  const Scene natural = InNaturalUnits(scene);
+  const Scene natural = ToNaturalUnits(scene);
   std::optional<SceneError> error = BrokenRule(natural);
   if (!error) return error;
   const Units& units = natural.units;

@@ -153,7 +153,7 @@ Body SceneReader::ReadBody(const Value& value) {
       if (const Value* found = fields.Find(key)) Fail(*found, "found it beside a path, expected none: the path has it");
     }
     body.path = ReadPath(*path);
-    if (IsPath(*body.path)) body.position = PathMotion(*body.path).At(0).position;
+    if (IsPath(*body.path)) body.position = PathMotion(*body.path).SampleAt(0).position;
   } else {
     body.position = ReadVector(fields.Require("position", "the position [x, y] in m, or a path"));
   }
@@ -171,7 +171,7 @@ Plane SceneReader::ReadPlane(const Value& value) {
   if (const Value* motion = fields.Find("motion")) {
     if (const Value* point = fields.Find("point")) Fail(*point, "found it beside a motion, expected none: it is there");
     plane.motion = ReadPath(*motion);
-    if (IsPath(*plane.motion)) plane.point = PathMotion(*plane.motion).At(0).position;
+    if (IsPath(*plane.motion)) plane.point = PathMotion(*plane.motion).SampleAt(0).position;
   } else {
     plane.point = ReadVector(fields.Require("point", "a point [x, y] of the boundary in m, or its motion"));
   }
@@ -314,11 +314,11 @@ Control SceneReader::ReadControl(const Value& value) {
   const Fields fields = ReadFields(value, {"bodies", "torque", "initial", "max", "max_norm", "max_torque"});
   Control control;
   control.bodies = ReadBodyNames(fields.Require("bodies", "a list of names of bodies"));
-  if (const Value* torque = fields.Find("torque")) control.turned = ReadBodyNames(*torque);
-  control.initial_torque.assign(control.turned.size(), 0.0);
+  if (const Value* torque = fields.Find("torque")) control.torque_bodies = ReadBodyNames(*torque);
+  control.initial_torque.assign(control.torque_bodies.size(), 0.0);
   const Value& initial = fields.Require("initial", "a list with one force [x, y] per controlled body, in N");
   for (const Value& force : ReadList(initial, "a list with one force [x, y] per controlled body")) {
-    const auto begin = control.turned.begin(), end = control.turned.end();
+    const auto begin = control.torque_bodies.begin(), end = control.torque_bodies.end();
     const auto turned = control.initial.size() < control.bodies.size()
                             ? std::find(begin, end, control.bodies[control.initial.size()])
                             : end;
@@ -334,8 +334,9 @@ Control SceneReader::ReadControl(const Value& value) {
   if (const Value* max = fields.Find("max")) control.max = ReadBounds(*max, control.bodies.size());
   if (const Value* norm = fields.Find("max_norm")) control.max_norm = ReadBounds(*norm, control.bodies.size());
   if (const Value* max = fields.Find("max_torque")) {
-    if (control.turned.empty()) Fail(*max, "found bounds of torques, expected none: there is no key control.torque");
-    control.max_torque = ReadBounds(*max, control.turned.size());
+    if (control.torque_bodies.empty())
+      Fail(*max, "found bounds of torques, expected none: there is no key control.torque");
+    control.max_torque = ReadBounds(*max, control.torque_bodies.size());
   }
   return control;
 }
@@ -386,11 +387,11 @@ std::optional<TerminalTerm::Region> SceneReader::ReadRegion(const Fields& fields
   }
   TerminalTerm::Region region;
   if (component == nullptr) {
-    region.min = ReadBoundsOf(fields, "min", term.IsOfSpin(), region.min[0]);
-    region.max = ReadBoundsOf(fields, "max", term.IsOfSpin(), region.max[0]);
+    region.min = ReadBoundsOf(fields, "min", term.IsRotational(), region.min[0]);
+    region.max = ReadBoundsOf(fields, "max", term.IsRotational(), region.max[0]);
     return region;
   }
-  if (term.IsOfSpin()) Fail(*component, "found a component, expected none: the quantity is one number");
+  if (term.IsRotational()) Fail(*component, "found a component, expected none: the quantity is one number");
   const int j = ReadChoice(*component, {"x", "y"});
   if (!has_bounds) {
     region.min[j] = region.max[j] = ReadNumber(fields.Require("target", "the target of the component, or min or max"));
@@ -417,7 +418,7 @@ TerminalTerm SceneReader::ReadTerm(const Value& value) {
       Fail(*target,
            "found a target, expected none: with a component the term is linear, or with hard: true a constraint");
     }
-  } else if (term.IsOfSpin()) {
+  } else if (term.IsRotational()) {
     term.target = {ReadNumber(fields.Require("target", "the target in rad or rad/s, or min or max")), 0};
   } else {
     term.target = ReadVector(fields.Require("target", "the target [x, y], component: x or y, or min or max"));
@@ -457,7 +458,8 @@ SpeedLimit SceneReader::ReadLimit(const Value& value) {
   limit.body = ReadBodyName(fields.Require("body", "the name of a body"));
   const Fields speed = ReadFields(fields.Require("speed", "a map with the key max"), {"max"});
   limit.max = ReadNumber(speed.Require("max", "the greatest speed in m/s"));
-  if (const Value* at = fields.Find("at")) limit.at = static_cast<SpeedLimit::At>(ReadChoice(*at, {"end", "always"}));
+  if (const Value* at = fields.Find("at"))
+    limit.at = static_cast<SpeedLimit::Timing>(ReadChoice(*at, {"end", "always"}));
   return limit;
 }
 

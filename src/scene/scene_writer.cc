@@ -216,11 +216,11 @@ void WriteBounds(YAML::Emitter* out, const char* key, const std::vector<double>&
 void WriteControl(YAML::Emitter* out, const Scene& scene) {
   *out << YAML::Key << "control" << YAML::Value << YAML::BeginMap;
   WriteNames(out, "bodies", scene, scene.control.bodies);
-  if (scene.num_turned() > 0) WriteNames(out, "torque", scene, scene.control.turned);
+  if (scene.num_torques() > 0) WriteNames(out, "torque", scene, scene.control.torque_bodies);
   *out << YAML::Key << "initial" << YAML::Value << YAML::Flow << YAML::BeginSeq;
   for (std::size_t c = 0; c < scene.control.initial.size(); ++c) {
     const Vec2d& force = scene.control.initial[c];
-    const std::vector<int>& turned = scene.control.turned;
+    const std::vector<int>& turned = scene.control.torque_bodies;
     const auto at = std::find(turned.begin(), turned.end(), scene.control.bodies[c]);
     if (at == turned.end()) {
       *out << force;
@@ -252,7 +252,7 @@ void WriteWeight(YAML::Emitter* out, double weight, bool hard) {
 // Writes the bounds of the components of a quantity; null where there is none.
 void WriteBoundsOf(YAML::Emitter* out, const char* key, const TerminalTerm& term, const Vec2d& bounds) {
   if (!std::isfinite(bounds[0]) && !std::isfinite(bounds[1])) return;
-  if (term.IsOfSpin()) return WriteField(out, key, bounds[0]);
+  if (term.IsRotational()) return WriteField(out, key, bounds[0]);
   *out << YAML::Key << key << YAML::Value << YAML::Flow << YAML::BeginSeq;
   for (const double bound : bounds) {
     if (std::isfinite(bound)) {
@@ -273,7 +273,7 @@ void WriteTerm(YAML::Emitter* out, const Scene& scene, const TerminalTerm& term)
     WriteBoundsOf(out, "max", term, term.region->max);
   } else if (term.component) {
     WriteField(out, "component", *term.component == 0 ? "x" : "y");
-  } else if (term.IsOfSpin()) {
+  } else if (term.IsRotational()) {
     WriteField(out, "target", term.target[0]);
   } else {
     WriteField(out, "target", term.target);
@@ -312,7 +312,7 @@ void WriteLimit(YAML::Emitter* out, const Scene& scene, const SpeedLimit& limit)
   *out << YAML::Key << "speed" << YAML::Value << YAML::BeginMap;
   WriteField(out, "max", limit.max);
   *out << YAML::EndMap;
-  WriteField(out, "at", limit.at == SpeedLimit::At::kEnd ? "end" : "always");
+  WriteField(out, "at", limit.at == SpeedLimit::Timing::kEnd ? "end" : "always");
   *out << YAML::EndMap;
 }
 

@@ -107,8 +107,8 @@ double SpeedOf(const Scene& scene, double length) {
     const double push = scene.control.initial[i].norm() / scene.bodies[scene.control.bodies[i]].mass;
     acceleration = std::max(acceleration, gravity + push);
   }
-  for (int t = 0; t < scene.num_turned(); ++t) {  // of the rim
-    const Body& body = scene.bodies[scene.control.turned[t]];
+  for (int t = 0; t < scene.num_torques(); ++t) {  // of the rim
+    const Body& body = scene.bodies[scene.control.torque_bodies[t]];
     const double push = std::abs(scene.control.initial_torque[t]) * body.radius / body.MomentOfInertia();
     acceleration = std::max(acceleration, gravity + push);
   }
@@ -256,7 +256,7 @@ std::vector<double> Multiplied(std::vector<double> numbers, double factor) {
   return numbers;
 }
 
-Scene InUnits(const Scene& scene, const Units& units) {
+Scene ToUnits(const Scene& scene, const Units& units) {
   const UnitFactors by(scene.units, units);
   const auto convert_position = [&](Vec2d* position) { *position = ConvertPosition(*position, scene.units, units); };
   const auto convert_path = [&](PrescribedMotion* path) {
@@ -358,9 +358,9 @@ Scene NearOrigin(const Scene& scene) {
   Units units = scene.units;
   units.origin = natural.origin;
   units.loss_at_origin = natural.loss_at_origin;
-  return InUnits(scene, units);
+  return ToUnits(scene, units);
 }
 
-Scene InNaturalUnits(const Scene& scene) { return scene.units.natural ? scene : InUnits(scene, NaturalUnits(scene)); }
+Scene ToNaturalUnits(const Scene& scene) { return scene.units.natural ? scene : ToUnits(scene, NaturalUnits(scene)); }
 
 }  // namespace saltus

@@ -38,10 +38,10 @@ struct UnitFactors {
 };
 
 // Returns the scene in other units. Precondition: `scene` is valid in SI units.
-Scene InUnits(const Scene& scene, const Units& units);
+Scene ToUnits(const Scene& scene, const Units& units);
 
 // Returns the scene in its natural units, unchanged if it has these already. Precondition: it is valid in SI units.
-Scene InNaturalUnits(const Scene& scene);
+Scene ToNaturalUnits(const Scene& scene);
 
 // Returns the scene in its present units, with the origin of its natural ones, which is near the discs.
 Scene NearOrigin(const Scene& scene);

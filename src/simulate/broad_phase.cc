@@ -156,7 +156,7 @@ int BroadPhase::FindInMotion(std::vector<Candidate>* candidates) {
       }
     }
     Collect(candidates);
-    if (before == 0 && !candidates->empty() && NoneMeets(*candidates)) {
+    if (before == 0 && !candidates->empty() && HasNoContact(*candidates)) {
       candidates->clear();
       // With many discs some are as close again in the next step: a search for the number of steps without a meeting
       // would cost more than it saves.
@@ -440,7 +440,7 @@ double BroadPhase::TimeToMeetParts(int i, double enough) const {
   return least;
 }
 
-bool BroadPhase::NoneMeets(std::span<const Candidate> pairs) const {
+bool BroadPhase::HasNoContact(std::span<const Candidate> pairs) const {
   return std::ranges::all_of(pairs, [&](const Candidate& c) {
     return !(c.plane && walls_[c.b].table) && TimeToMeet(c) * (1 - kMargin) >= options_.dt;
   });

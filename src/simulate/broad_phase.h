@@ -117,7 +117,7 @@ class BroadPhase {
   bool BoundSpeedsByEnergy(std::span<const Candidate> candidates);
   int Root(int i);
   // Whether none of these pairs can meet in this step: a disc may have the reach but move away.
-  bool NoneMeets(std::span<const Candidate> pairs) const;
+  bool HasNoContact(std::span<const Candidate> pairs) const;
   // Returns for how many steps nothing meets. Precondition: nothing can meet in this step.
   int QuietSteps() const;
   double TimeToMeet(const Candidate& pair) const;

@@ -85,13 +85,13 @@ class ConvertedSimulator final : public LaneSimulator {
     for (double& inverse_mass : linearization->inverse_mass) inverse_mass *= to_inner_.mass;
     for (StepLinearization::Island& island : linearization->islands) ConvertIsland(&island);
     for (Eigen::MatrixXd& turn : linearization->rotation) ConvertTurn(&turn);
-    for (Eigen::Vector2d& by_force : linearization->turning) {
+    for (Eigen::Vector2d& by_force : linearization->by_torque) {
       for (int row = 0; row < 2; ++row) by_force[row] *= FactorOf(to_outer_, 4 + row, body_size()) * to_inner_.force;
     }
   }
 
-  std::optional<FlightOver> FreeFlightOver(double h) const override {
-    std::optional<FlightOver> over = inner_->FreeFlightOver(h * to_inner_.time);
+  std::optional<VariableFreeFlight> FreeFlightOfLength(double h) const override {
+    std::optional<VariableFreeFlight> over = inner_->FreeFlightOfLength(h * to_inner_.time);
     if (!over) return over;
     ConvertFlight(&over->flight);
     ConvertFlight(&over->by_time);
@@ -207,7 +207,8 @@ class ConvertedSimulator final : public LaneSimulator {
                                : mass        ? to_inner_.mass
                                              : 1 / to_inner_.moment_of_inertia;
     }
-    if (island->P.cols() > 0 && !BeyondBallistic(scene_).empty()) island->P.rightCols(discs) *= Damping();  // of drag
+    if (island->P.cols() > 0 && !NonBallisticForces(scene_).empty())
+      island->P.rightCols(discs) *= Damping();  // of drag
   }
 
   // Converts the derivative of a flying disc's rotation after a step by that before.

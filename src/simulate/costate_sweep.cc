@@ -15,8 +15,8 @@ Vec2d& Part(Costate<double>* costate, Quantity quantity) {
 }
 
 // Returns q - target of a running term, `s` seconds after the start of a piece.
-Vec2d MissOf(const RunningTerm& term, const Flight::Piece& piece, double s) {
-  return piece.After(term.body, s).Of(term.quantity) - TargetAt(term, piece.start + s);
+Vec2d RunningResidual(const RunningTerm& term, const Flight::Piece& piece, double s) {
+  return piece.StateAfter(term.body, s).Get(term.quantity) - TargetAt(term, piece.start + s);
 }
 
 // Returns the rate of the target of a running term. Precondition: the target does not turn within the piece.
@@ -89,7 +89,7 @@ std::vector<ConstraintRow> RowsOfHardTerms(const Scene& scene) {
     ++owner;
   };
   for (const TerminalTerm& term : scene.objective.terminal) {
-    if (term.hard && !term.region) add(term, term.IsOfSpin() ? 1 : 2, -1);
+    if (term.hard && !term.region) add(term, term.IsRotational() ? 1 : 2, -1);
   }
   for (size_t v = 0; v < scene.objective.via.size(); ++v) {
     if (scene.objective.via[v].hard) add(scene.objective.via[v], 2, static_cast<int>(v));
@@ -115,7 +115,7 @@ CostateSweep::CostateSweep(const Scene& scene, const Flight& flight)
     const auto add = [&](double to) {
       part.duration = to - part.start;
       segments_.push_back(part);
-      part.at_start = whole.After(to - whole.start);
+      part.at_start = whole.StateAfter(to - whole.start);
       part.start = to;
     };
     for (double cut : cuts) {
@@ -132,7 +132,7 @@ CostateSweep::CostateSweep(const Scene& scene, const Flight& flight)
   }
 }
 
-double CostateSweep::Late(int k, const ImpactJump& jump, double gain) const {
+double CostateSweep::LateMultiplier(int k, const ImpactJump& jump, double gain) const {
   const int next = std::min<int>(segment_after_[k], static_cast<int>(segments_.size()) - 1);
   return jump.MultiplierAt(segments_[next], flight_.hits()[k].impact.speed, gain);
 }
@@ -140,8 +140,8 @@ double CostateSweep::Late(int k, const ImpactJump& jump, double gain) const {
 void CostateSweep::CrossFlight(const Flight::Piece& piece, double length, RunningTerms terms,
                                std::vector<Costate<double>>* now, std::vector<Vec2d>* push,
                                std::vector<double>* turn) const {
-  for (int t = 0; t < scene_.num_turned(); ++t) {
-    const Costate<double>& costate = (*now)[scene_.control.turned[t]];
+  for (int t = 0; t < scene_.num_torques(); ++t) {
+    const Costate<double>& costate = (*now)[scene_.control.torque_bodies[t]];
     (*turn)[t] += length * (0.5 * length * costate.angle + costate.angular_velocity);
   }
   for (int i = 0; i < scene_.num_bodies(); ++i) {
@@ -155,7 +155,7 @@ void CostateSweep::CrossFlight(const Flight::Piece& piece, double length, Runnin
       if (term.body != i) continue;
       for (size_t g = 0; g < kGaussNodes.size(); ++g) {
         const double s = kGaussNodes[g] * length;
-        const Vec2d by = (2 * term.weight * kGaussWeights[g] * length) * MissOf(term, piece, s);
+        const Vec2d by = (2 * term.weight * kGaussWeights[g] * length) * RunningResidual(term, piece, s);
         if (term.quantity == Quantity::kPosition) {
           costate.position += by;
           costate.velocity += s * by;
@@ -175,17 +175,17 @@ double CostateSweep::StretchOf(const Flight::Piece& piece, double h, RunningTerm
   double at_end = 0, drift = 0;
   for (int i = 0; i < scene_.num_bodies(); ++i) {
     if (scene_.bodies[i].fixed) continue;
-    at_end += end[i].position.dot(piece.After(i, h).v) + end[i].velocity.dot(piece.acceleration[i]);
+    at_end += end[i].position.dot(piece.StateAfter(i, h).v) + end[i].velocity.dot(piece.acceleration[i]);
     if (end[i].angle == 0 && piece.turning.empty()) continue;
     const double rate = piece.TurningOf(i);
     at_end += end[i].angle * (piece.at_start.spin[i] + h * rate) + end[i].angular_velocity * rate;
   }
   for (const RunningTerm& term : terms) {
     const Vec2d rate = TargetRate(term, piece);
-    at_end += term.weight * MissOf(term, piece, h).squaredNorm();
+    at_end += term.weight * RunningResidual(term, piece, h).squaredNorm();
     for (size_t g = 0; g < kGaussNodes.size(); ++g) {
       const double s = kGaussNodes[g] * h;
-      drift -= 2 * term.weight * kGaussWeights[g] * h * MissOf(term, piece, s).dot(rate);
+      drift -= 2 * term.weight * kGaussWeights[g] * h * RunningResidual(term, piece, s).dot(rate);
     }
   }
   return h * at_end + piece.start * drift;
@@ -224,12 +224,12 @@ void CostateSweep::CrossVia(size_t index, const Vec2d& derivative, std::vector<C
   const ViaTerm& term = scene_.objective.via[index];
   const bool of_position = term.quantity == Quantity::kPosition;
   const Vec2d rate =
-      of_position ? flight_.Before(term.time).v[term.body] : AccelerationBefore(via_after_[index])[term.body];
+      of_position ? flight_.StatesBefore(term.time).v[term.body] : AccelerationBefore(via_after_[index])[term.body];
   result->by_duration -= term.time * derivative.dot(rate) / scene_.duration;
   Part(&(*now)[term.body], term.quantity) += derivative;
 }
 
-std::vector<Costate<double>> CostateSweep::AtEnd(std::span<const ConstraintRow> constraints) const {
+std::vector<Costate<double>> CostateSweep::CostatesAtEnd(std::span<const ConstraintRow> constraints) const {
   std::vector<Costate<double>> costates;
   for (int i = 0; i < scene_.num_bodies(); ++i) {
     costates.push_back({scene_.duration, Vec2d(0, 0), Vec2d(0, 0)});
@@ -253,17 +253,17 @@ void CostateSweep::AddRow(const ConstraintRow& row, std::vector<Costate<double>>
 CostateSweep::Result CostateSweep::Sweep(std::span<const ConstraintRow> constraints,
                                          const MultiplierOf& multiplier) const {
   Result result;
-  std::vector<Costate<double>> now = AtEnd(constraints);
+  std::vector<Costate<double>> now = CostatesAtEnd(constraints);
   const int count = static_cast<int>(segments_.size());
   result.push.assign(count, std::vector<Vec2d>(scene_.num_controlled(), Vec2d(0, 0)));
-  result.turn.assign(count, std::vector<double>(scene_.num_turned(), 0.0));
+  result.turn.assign(count, std::vector<double>(scene_.num_torques(), 0.0));
   result.after_impact.resize(flight_.hits().size());
   const auto note = [&] {
     for (const Costate<double>& costate : now) {
       result.largest_position = std::max(result.largest_position, costate.position.norm());
       result.largest_velocity = std::max(result.largest_velocity, costate.velocity.norm());
     }
-    for (const int body : scene_.control.turned) {  // as of the rim
+    for (const int body : scene_.control.torque_bodies) {  // as of the rim
       const Costate<double>& costate = now[body];
       const double radius = scene_.bodies[body].radius;
       result.largest_position = std::max(result.largest_position, std::abs(costate.angle) / radius);
@@ -286,7 +286,7 @@ CostateSweep::Result CostateSweep::Sweep(std::span<const ConstraintRow> constrai
         if (row.via == static_cast<int>(v)) CrossVia(v, row.multiplier * row.normal, &now, &result);
       }
       if (!term.hard) {
-        const DiscStates x = flight_.Before(term.time);
+        const DiscStates x = flight_.StatesBefore(term.time);
         const Vec2d& q = term.quantity == Quantity::kPosition ? x.p[term.body] : x.v[term.body];
         CrossVia(v, 2 * term.weight * (q - term.target), &now, &result);
       }
@@ -303,9 +303,9 @@ CostateSweep::Result CostateSweep::Sweep(std::span<const ConstraintRow> constrai
 
 void CostateSweep::AddByControl(int interval, const std::vector<Vec2d>& push, const std::vector<double>& turn,
                                 std::span<double> gradient) const {
-  for (int t = 0; t < scene_.num_turned(); ++t) {
-    const Body& body = scene_.bodies[scene_.control.turned[t]];
-    gradient[scene_.TurnIndex(interval, t)] += body.radius / body.MomentOfInertia() * turn[t];
+  for (int t = 0; t < scene_.num_torques(); ++t) {
+    const Body& body = scene_.bodies[scene_.control.torque_bodies[t]];
+    gradient[scene_.TorqueIndex(interval, t)] += body.radius / body.MomentOfInertia() * turn[t];
   }
   for (int c = 0; c < scene_.num_controlled(); ++c) {
     const double inverse_mass = 1 / scene_.bodies[scene_.control.bodies[c]].mass;
@@ -321,7 +321,7 @@ CostateSweep::Derivatives CostateSweep::DerivativesOfPoint(int segment, double o
   const bool at_end = segment + 1 == static_cast<int>(segments_.size()) && offset >= segments_[segment].duration;
   for (int k = static_cast<int>(flight_.hits().size()) - 1; at_end && k >= 0 && segment_after_[k] > segment; --k) {
     CrossImpact(
-        k, {}, [&](int, const ImpactJump& jump, double gain) { return Late(k, jump, gain); }, &now);
+        k, {}, [&](int, const ImpactJump& jump, double gain) { return LateMultiplier(k, jump, gain); }, &now);
   }
   return PullBack(segment, offset, {}, 0, std::move(now), gradient);
 }
@@ -338,8 +338,8 @@ CostateSweep::Derivatives CostateSweep::PullBack(int segment, double offset, Run
                                                  std::vector<Costate<double>> now, std::span<double> gradient) const {
   Derivatives result;
   std::vector<Vec2d> push(scene_.num_controlled());
-  std::vector<double> turn(scene_.num_turned());
-  const MultiplierOf late = [&](int k, const ImpactJump& jump, double gain) { return Late(k, jump, gain); };
+  std::vector<double> turn(scene_.num_torques());
+  const MultiplierOf late = [&](int k, const ImpactJump& jump, double gain) { return LateMultiplier(k, jump, gain); };
   int hit = static_cast<int>(flight_.hits().size()) - 1;
   while (hit >= 0 && segment_after_[hit] > segment) --hit;
   for (int i = segment; i >= 0; --i) {

@@ -33,7 +33,7 @@ struct Costate {
   T angle = T(0.0), angular_velocity = T(0.0);
 
   // Returns the costate at time t of the same flight, which has no path costs.
-  Costate At(const T& t) const {
+  Costate CostateAt(const T& t) const {
     return {t, position, velocity + Scale(T(time - t), position), angle, T(angular_velocity + (time - t) * angle)};
   }
   // Returns the costate of the angle or angular velocity. Precondition: `quantity` is one of these.
@@ -50,7 +50,7 @@ Costate<T> TerminalCostate(const Objective& objective, int body, const T& time, 
   costate.time = time;
   for (const TerminalTerm& term : objective.terminal) {
     if (term.body != body || term.hard) continue;
-    if (term.IsOfSpin()) {
+    if (term.IsRotational()) {
       const T& q = term.quantity == TerminalTerm::Quantity::kAngle ? angle : spin;
       costate.CostateOfSpin(term.quantity) += T(2 * term.weight * (q - term.target[0]));
       continue;
@@ -112,7 +112,7 @@ class CostateSweep {
   using MultiplierOf = std::function<double(int k, const ImpactJump& jump, double gain)>;
   // The multiplier with which the Hamiltonian does not jump if the force after the impact acts on both sides of it:
   // that of the derivative by a motion whose impact on a node is late.
-  double Late(int k, const ImpactJump& jump, double gain) const;
+  double LateMultiplier(int k, const ImpactJump& jump, double gain) const;
 
   struct Result {
     std::vector<Costate<double>> start;    // of each disc, at time 0
@@ -159,9 +159,9 @@ class CostateSweep {
   // Pulls costates back from `offset` after the start of a segment to time 0; `terms` count from segment `first` on.
   Derivatives PullBack(int segment, double offset, RunningTerms terms, int first, std::vector<Costate<double>> now,
                        std::span<double> gradient) const;
-  std::vector<Costate<double>> AtEnd(std::span<const ConstraintRow> constraints) const;
+  std::vector<Costate<double>> CostatesAtEnd(std::span<const ConstraintRow> constraints) const;
   static void AddRow(const ConstraintRow& row, std::vector<Costate<double>>* now);
-  const OfDiscs<Vec2d>& AccelerationBefore(int segment) const { return segments_[segment - 1].acceleration; }
+  const DiscArray<Vec2d>& AccelerationBefore(int segment) const { return segments_[segment - 1].acceleration; }
 
   const Scene& scene_;
   const Flight& flight_;

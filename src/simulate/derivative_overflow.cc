@@ -5,7 +5,7 @@
 
 namespace saltus {
 
-std::string WhyDerivativesOverflow(const Simulator& simulator, std::span<const double> control) {
+std::string ReasonDerivativesOverflow(const Simulator& simulator, std::span<const double> control) {
   const std::string model(simulator.traits().name);
   std::vector<double> x(simulator.state_size()), force(simulator.force_size());
   const std::vector<StepTouch>& touches = simulator.touches();

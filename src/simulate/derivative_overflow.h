@@ -10,6 +10,6 @@ namespace saltus {
 
 // Returns which step of the last rollout under `control` has derivatives that are not finite, and the remedy; or, if
 // those of every step are finite, that their product overflows. Precondition: a gradient of that rollout is not finite.
-std::string WhyDerivativesOverflow(const Simulator& simulator, std::span<const double> control);
+std::string ReasonDerivativesOverflow(const Simulator& simulator, std::span<const double> control);
 
 }  // namespace saltus

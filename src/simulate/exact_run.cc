@@ -47,7 +47,7 @@ bool RunEqualIntervals(const RunSettings& settings, const Scene& scene, const st
     return false;
   }
   if (!ran) {
-    run->reason = settings.stopped() ? kStopped : "the exact rollout fails: " + simulator->WhyFailed();
+    run->reason = settings.stopped() ? kStopped : "the exact rollout fails: " + simulator->FailureReason();
     return false;
   }
   simulator->set_stop(nullptr);
@@ -77,8 +77,8 @@ bool RunEqualIntervals(const RunSettings& settings, const Scene& scene, const st
 }
 
 // Returns what is wrong with the sizes and numbers of the arguments of SimulateExactly(); empty if nothing is.
-std::string WhyNotShaped(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
-                         const std::vector<double>& durations) {
+std::string ValidateShapes(const Scene& scene, const std::vector<double>& initial, const std::vector<double>& control,
+                           const std::vector<double>& durations) {
   const auto sizes = [](const char* what, size_t found, const std::string& expected) {
     return std::string(what) + ": found " + std::to_string(found) + " numbers, expected " + expected;
   };
@@ -114,12 +114,12 @@ void AddIntegratedLoss(Scene scene, const std::vector<double>& initial, const st
   scene.objective.effort = 0;
   scene.objective.duration.reset();
   scene.design.clear();
-  const HybridProblem problem = HybridProblemOf(scene);
+  const HybridProblem problem = MakeHybridProblem(scene);
   HybridShooting shooting(problem);
   HybridShooting::Outcome outcome;
   run->ok = shooting.Simulate(InputOf(problem, initial, control, lengths), &outcome);
   run->loss += outcome.loss;
-  if (!run->ok) run->reason = shooting.WhyFailed();
+  if (!run->ok) run->reason = shooting.FailureReason();
 }
 
 // Adds the costs of running and via terms, and of the duration.
@@ -132,8 +132,8 @@ void AddLossOnTheWay(const Scene& scene, const std::vector<double>& initial, con
     run->loss += objective.duration->weight * std::accumulate(lengths.begin(), lengths.end(), 0.0);
   }
   if (objective.running.empty() && objective.via.empty()) return;
-  if (!BeyondBallistic(scene).empty()) return AddIntegratedLoss(scene, initial, control, lengths, run);
-  if (const std::string beyond = BeyondPlanes(scene); !beyond.empty()) {
+  if (!NonBallisticForces(scene).empty()) return AddIntegratedLoss(scene, initial, control, lengths, run);
+  if (const std::string beyond = NonPlaneGeometry(scene); !beyond.empty()) {
     run->ok = false;
     run->reason = "the scene has " + beyond + "; running and waypoint costs are integrated between impacts on planes";
     return;
@@ -166,7 +166,7 @@ ExactRun SimulateInOrder(const RunSettings& settings, const Scene& whole, const 
     for (size_t begin = 0, end = 0; begin < durations.size(); begin = end) {
       while (end < durations.size() && durations[end] == durations[begin]) ++end;
       if (durations[begin] == 0) continue;
-      Scene part = FromTimeOn(scene, start);
+      Scene part = ShiftTimeOrigin(scene, start);
       part.steps = static_cast<int>(end - begin);
       part.duration = part.steps * durations[begin];
       const std::vector<double> rows(control.begin() + width * begin, control.begin() + width * end);
@@ -187,9 +187,9 @@ ExactRun SimulateInOrder(const RunSettings& settings, const Scene& whole, const 
 }
 
 // Compares final states on the scale of the distances and speeds of the discs.
-class SameEnd {
+class SameFinalState {
  public:
-  SameEnd(const Scene& scene, const std::vector<double>& initial, const ExactRun& run)
+  SameFinalState(const Scene& scene, const std::vector<double>& initial, const ExactRun& run)
       : end_(run.end), moves_(4 * scene.bodies.size()) {
     for (size_t i = 0; i < moves_; i += 4) {
       const double way = std::hypot(end_[i] - initial[i], end_[i + 1] - initial[i + 1]);
@@ -233,7 +233,7 @@ ExactRun SimulateUpTo(std::optional<int> most_impacts, const Scene& scene, const
                       const std::vector<double>& control, const std::vector<double>& durations,
                       const StopRequest& stop) {
   if (!scene.units.natural) {  // once for all parts
-    const Scene natural = InNaturalUnits(scene);
+    const Scene natural = ToNaturalUnits(scene);
     const UnitFactors to(scene.units, natural.units);
     ExactRun run = SimulateUpTo(most_impacts,
                                 natural,
@@ -261,23 +261,23 @@ ExactRun SimulateUpTo(std::optional<int> most_impacts, const Scene& scene, const
   };
   const ModelTraits* exact = ExactModel();
   if (exact == nullptr) return refuse("no event-driven contact model is registered");
-  std::string reason = WhyNotApplicable(exact->name, scene);
-  if (reason.empty()) reason = WhyNotShaped(scene, initial, control, durations);
+  std::string reason = ReasonNotApplicable(exact->name, scene);
+  if (reason.empty()) reason = ValidateShapes(scene, initial, control, durations);
   if (reason.empty() && scene.optimize == Optimize::kPosition) {
     if (const std::optional<SceneError> error = FindOverlapAt(scene, initial)) reason = error->ToString();
   }
   if (!reason.empty()) return refuse(reason);
   Scene part = scene;
   if (!control.empty()) part.steps = static_cast<int>(control.size() / scene.control_width());
-  if (reason = WhyNotApplicable(exact->name, part); !reason.empty()) return refuse(reason);
+  if (reason = ReasonNotApplicable(exact->name, part); !reason.empty()) return refuse(reason);
 
   RunSettings settings{std::string(exact->name), 0, most_impacts, stop};
   ExactRun run = SimulateInOrder(settings, part, initial, control, durations);
   // Where flights are integrated, every order was tried at the tie.
-  if (!run.ok || run.ambiguous.empty() || !BeyondBallistic(part).empty()) return run;
+  if (!run.ok || run.ambiguous.empty() || !NonBallisticForces(part).empty()) return run;
   int orders = 0;
   for (const Tie& tie : run.ambiguous) orders = std::max(orders, NumTieOrders(tie.num_contacts));
-  const SameEnd same(scene, initial, run);
+  const SameFinalState same(scene, initial, run);
   bool decides = false;
   run.spread = {run.loss, run.loss};
   for (settings.tie_order = 1; settings.tie_order <= orders; ++settings.tie_order) {

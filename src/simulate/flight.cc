@@ -10,8 +10,8 @@
 namespace saltus {
 namespace {
 
-OfDiscs<Vec2d> Accelerations(const Scene& scene, const double* forces) {
-  OfDiscs<Vec2d> acceleration;
+DiscArray<Vec2d> Accelerations(const Scene& scene, const double* forces) {
+  DiscArray<Vec2d> acceleration;
   for (const Body& body : scene.bodies) acceleration.push_back(body.fixed ? Vec2d(0, 0) : scene.gravity);
   for (int c = 0; c < scene.num_controlled(); ++c) {
     const int body = scene.control.bodies[c];
@@ -21,17 +21,17 @@ OfDiscs<Vec2d> Accelerations(const Scene& scene, const double* forces) {
 }
 
 // Returns the angular accelerations of all discs under one row of a control, rad/s^2.
-OfDiscs<double> Turnings(const Scene& scene, const double* row) {
-  OfDiscs<double> turning(scene.num_turned() > 0 ? scene.bodies.size() : 0, 0.0);
-  for (int t = 0; t < scene.num_turned(); ++t) {
-    const Body& body = scene.bodies[scene.control.turned[t]];
-    turning[scene.control.turned[t]] = row[scene.TurnIndex(0, t)] * body.radius / body.MomentOfInertia();
+DiscArray<double> Turnings(const Scene& scene, const double* row) {
+  DiscArray<double> turning(scene.num_torques() > 0 ? scene.bodies.size() : 0, 0.0);
+  for (int t = 0; t < scene.num_torques(); ++t) {
+    const Body& body = scene.bodies[scene.control.torque_bodies[t]];
+    turning[scene.control.torque_bodies[t]] = row[scene.TorqueIndex(0, t)] * body.radius / body.MomentOfInertia();
   }
   return turning;
 }
 
 // Replaces the states by those `s` seconds later.
-void Advance(double s, const OfDiscs<Vec2d>& acceleration, const OfDiscs<double>& turning, DiscStates* x) {
+void Advance(double s, const DiscArray<Vec2d>& acceleration, const DiscArray<double>& turning, DiscStates* x) {
   for (size_t i = 0; i < x->p.size(); ++i) {
     Vec2d &p = x->p[i], &v = x->v[i];
     const Vec2d& a = acceleration[i];
@@ -55,7 +55,7 @@ double Integral(const Flight::Piece& piece, const RunningTerm& term) {
     if (!(end > begin)) end = piece.duration;  // a turn within rounding of here
     for (size_t i = 0; i < kGaussNodes.size(); ++i) {
       const double s = begin + kGaussNodes[i] * (end - begin);
-      const Vec2d miss = piece.After(term.body, s).Of(term.quantity) - TargetAt(term, piece.start + s);
+      const Vec2d miss = piece.StateAfter(term.body, s).Get(term.quantity) - TargetAt(term, piece.start + s);
       sum += kGaussWeights[i] * (end - begin) * miss.squaredNorm();
     }
     begin = end;
@@ -65,7 +65,7 @@ double Integral(const Flight::Piece& piece, const RunningTerm& term) {
 
 }  // namespace
 
-DiscStates Flight::Piece::After(double s) const {
+DiscStates Flight::Piece::StateAfter(double s) const {
   DiscStates x = at_start;
   Advance(s, acceleration, turning, &x);
   return x;
@@ -90,8 +90,8 @@ Flight::Flight(const Scene& scene, std::span<const double> initial, std::span<co
   double start = 0;
   size_t next = 0;
   for (size_t k = 0; k < durations.size(); ++k) {
-    const OfDiscs<Vec2d> acceleration = Accelerations(scene, control.data() + k * width);
-    const OfDiscs<double> turning = Turnings(scene, control.data() + k * width);
+    const DiscArray<Vec2d> acceleration = Accelerations(scene, control.data() + k * width);
+    const DiscArray<double> turning = Turnings(scene, control.data() + k * width);
     const double h = durations[k], margin = kNodeMargin * h;
     double now = 0;  // since the start of the interval
     const auto fly_to = [&](double to) {
@@ -130,10 +130,10 @@ Flight::Flight(const Scene& scene, std::span<const double> initial, std::span<co
   end_ = std::move(x);
 }
 
-DiscStates Flight::Before(double time) const {
+DiscStates Flight::StatesBefore(double time) const {
   const auto after = std::ranges::partition_point(pieces_, [&](const Piece& piece) { return piece.start < time; });
   const Piece& piece = after == pieces_.begin() ? *after : *(after - 1);
-  return piece.After(std::min(time - piece.start, piece.duration));
+  return piece.StateAfter(std::min(time - piece.start, piece.duration));
 }
 
 Vec2d InitialAcceleration(const Scene& scene, int body) {
@@ -152,7 +152,7 @@ double RunningLoss(const Scene& scene, const Flight& flight) {
   }
   for (const ViaTerm& term : scene.objective.via) {
     if (term.hard) continue;
-    const DiscStates x = flight.Before(term.time);
+    const DiscStates x = flight.StatesBefore(term.time);
     const Vec2d& q = term.quantity == TerminalTerm::Quantity::kPosition ? x.p[term.body] : x.v[term.body];
     loss += term.weight * (q - term.target).squaredNorm();
   }

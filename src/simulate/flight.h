@@ -19,18 +19,18 @@ struct DiscState {
   Vec2d p, v;  // m, m/s
 
   // Returns the position or the velocity, as a term's quantity asks for.
-  const Vec2d& Of(TerminalTerm::Quantity quantity) const {
+  const Vec2d& Get(TerminalTerm::Quantity quantity) const {
     return quantity == TerminalTerm::Quantity::kPosition ? p : v;
   }
 };
 
 // A number or a vector of every disc. There are several of each in every interval of a flight.
 template <typename T>
-using OfDiscs = ShortVector<T, 4>;
+using DiscArray = ShortVector<T, 4>;
 
 struct DiscStates {
-  OfDiscs<Vec2d> p, v;                    // m and m/s, of every disc
-  OfDiscs<double> angle = {}, spin = {};  // rad and rad/s, of every disc if one spins
+  DiscArray<Vec2d> p, v;                    // m and m/s, of every disc
+  DiscArray<double> angle = {}, spin = {};  // rad and rad/s, of every disc if one spins
   // Returns the angular velocities of a and b, rad/s; 0 for planes, and where nothing spins.
   std::array<double, 2> SpinsOf(const Candidate& c) const {
     if (spin.empty()) return {0, 0};
@@ -45,16 +45,16 @@ class Flight {
     int interval = 0;
     double start = 0, duration = 0;  // s
     DiscStates at_start;
-    OfDiscs<Vec2d> acceleration;   // m/s^2, of every disc, gravity included
-    OfDiscs<double> turning = {};  // rad/s^2, of every disc; empty if none is turned
+    DiscArray<Vec2d> acceleration;   // m/s^2, of every disc, gravity included
+    DiscArray<double> turning = {};  // rad/s^2, of every disc; empty if none is turned
 
     double TurningOf(int body) const { return turning.empty() ? 0.0 : turning[body]; }
     // Return the state `s` seconds after the start: of one disc, and of all.
-    DiscState After(int body, double s) const {
+    DiscState StateAfter(int body, double s) const {
       const Vec2d &p = at_start.p[body], &v = at_start.v[body], &a = acceleration[body];
       return {p + s * (v + 0.5 * s * a), v + s * a};
     }
-    DiscStates After(double s) const;
+    DiscStates StateAfter(double s) const;
   };
   struct Hit {
     double time = 0;
@@ -75,7 +75,7 @@ class Flight {
   const DiscStates& end() const { return end_; }
 
   // Returns the states just before `time`, which lies in [0, T].
-  DiscStates Before(double time) const;
+  DiscStates StatesBefore(double time) const;
 
  private:
   std::vector<Piece> pieces_;

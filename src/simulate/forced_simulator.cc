@@ -106,7 +106,7 @@ class ForcedSimulator final : public Simulator {
       if (out.parameters == nullptr) break;
       const bool position = parameter.kind == SceneParameter::Kind::kPosition;
       const double at_start = position ? after[parameter.body * body_size() + parameter.component] : NAN;
-      out.parameters->design.push_back(ByParameter(scene_, parameter, *out.parameters).value_or(at_start));
+      out.parameters->design.push_back(SceneParameterDerivative(scene_, parameter, *out.parameters).value_or(at_start));
     }
     const std::size_t moves = 4 * std::size_t(num_bodies());
     const std::vector<double> initial =
@@ -129,7 +129,7 @@ class ForcedSimulator final : public Simulator {
     StepLinearization& out = *linearization = {};
     out.body_size = body_size();
     out.inverse_mass.assign(step.inner.inverse_mass.begin(), step.inner.inverse_mass.begin() + num_bodies());
-    out.turns = step.inner.turns;
+    out.has_torques = step.inner.has_torques;
     StepLinearization::Island all;
     for (int i = 0; i < num_bodies(); ++i) all.bodies.push_back(i);
     all.A.resize(state_size(), state_size());
@@ -146,7 +146,7 @@ class ForcedSimulator final : public Simulator {
     out.islands.push_back(std::move(all));
   }
 
-  std::optional<FlightOver> FreeFlightOver(double /*h*/) const override { return std::nullopt; }
+  std::optional<VariableFreeFlight> FreeFlightOfLength(double /*h*/) const override { return std::nullopt; }
   void ExpandInitial(std::span<const double> initial, std::span<double> x) const override {
     const Scene& inner = inner_->scene();
     std::vector<double> more = InitialState(inner), expanded(inner_->state_size());
@@ -183,7 +183,7 @@ class ForcedSimulator final : public Simulator {
   void PutOnPaths(int k, std::span<double> x) const {
     for (int i = 0; i < num_bodies(); ++i) {
       if (!paths_[i]) continue;
-      const PathMotion::Point at = paths_[i]->At(k * step());
+      const PathMotion::Point at = paths_[i]->SampleAt(k * step());
       std::copy_n(at.position.data(), 2, &x[i * body_size()]);
       std::copy_n(at.velocity.data(), 2, &x[i * body_size() + 2]);
     }
@@ -193,17 +193,18 @@ class ForcedSimulator final : public Simulator {
     std::vector<double> inner = at_rest_;
     std::ranges::copy(x, inner.begin());
     const auto put = [&](int body, const Vec2d& position, const PathMotion& path) {
-      const Vec2d way = path.At((k + 1) * step()).position - path.At(k * step()).position, mean = way / step();
+      const Vec2d way = path.SampleAt((k + 1) * step()).position - path.SampleAt(k * step()).position,
+                  mean = way / step();
       std::copy_n(position.data(), 2, &inner[body * body_size()]);
       std::copy_n(mean.data(), 2, &inner[body * body_size() + 2]);
     };
     for (int i = 0; i < num_bodies(); ++i) {
-      if (paths_[i]) put(i, paths_[i]->At(k * step()).position, *paths_[i]);
+      if (paths_[i]) put(i, paths_[i]->SampleAt(k * step()).position, *paths_[i]);
     }
     for (int g = 0; g < std::ssize(backings_); ++g) {
       const auto& [disc, plane] = backings_[g];
       const Vec2d p(x[disc * body_size()], x[disc * body_size() + 1]), n = NormalOf(plane);
-      const double distance = Dot(n, Vec2d(p - motions_[plane]->At(k * step()).position));
+      const double distance = Dot(n, Vec2d(p - motions_[plane]->SampleAt(k * step()).position));
       put(num_bodies() + g, p - (distance + kBehind * scene_.bodies[disc].radius) * n, *motions_[plane]);
     }
     return inner;
@@ -224,7 +225,7 @@ class ForcedSimulator final : public Simulator {
     return inner;
   }
   // Returns a touch with the indices of this scene.
-  Candidate InScene(Candidate c) const {
+  Candidate ToSceneIndices(Candidate c) const {
     const int walls = static_cast<int>(still_planes_.size());
     if (!c.plane && c.b >= num_bodies()) return {c.a, backings_[c.b - num_bodies()].plane, true};
     if (c.plane) c.b = c.b < walls ? still_planes_[c.b] : c.b + static_cast<int>(scene_.planes.size()) - walls;
@@ -239,7 +240,7 @@ class ForcedSimulator final : public Simulator {
     std::copy_n(inner.begin(), state_size(), next.begin());
     PutOnPaths(k + 1, next);
     for (std::size_t i = known; touches != nullptr && i < touches->size(); ++i) {
-      (*touches)[i].candidate = InScene((*touches)[i].candidate);
+      (*touches)[i].candidate = ToSceneIndices((*touches)[i].candidate);
     }
   }
 
@@ -325,9 +326,9 @@ class ForcedSimulator final : public Simulator {
         P(size * body + j, 4 + body) = step.inner.free.pa * a;
         P(size * body + 2 + j, 4 + body) = step.inner.free.va * a;
       }
-      if (!step.inner.turns || !scene_.bodies[body].Spins()) continue;
+      if (!step.inner.has_torques || !scene_.bodies[body].Spins()) continue;
       const double turn = scene_.bodies[body].MomentOfInertia() * step.force[2 * inner_->num_bodies() + body];
-      P.block<2, 1>(size * body + 4, 4 + num_bodies() + body) = turn * step.inner.turning[f];
+      P.block<2, 1>(size * body + 4, 4 + num_bodies() + body) = turn * step.inner.by_torque[f];
     }
     return P;
   }
@@ -379,7 +380,7 @@ class ForcedSimulator final : public Simulator {
 
 }  // namespace
 
-Scene WithoutForces(const Scene& scene) {
+Scene RemoveForces(const Scene& scene) {
   Scene still = scene;
   still.forces.clear();
   still.design.clear();

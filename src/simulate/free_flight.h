@@ -172,7 +172,7 @@ Eigen::Matrix<S, 2, 3> DifferentiateTurn(const ContactStep<S, kSpin>& model, S h
 
 // Returns the free flight over h with its derivative by h, if the model accepts lengths of time that are Jets.
 template <typename S, int kRotation>
-std::optional<FlightOver> DifferentiateByLength(const ContactStep<S, kRotation>& model, double h) {
+std::optional<VariableFreeFlight> DifferentiateByLength(const ContactStep<S, kRotation>& model, double h) {
   using Jet = StepJet<S>;
   using State = BodyState<Jet, kRotation>;
   const Jet length(S(h), 0);
@@ -199,7 +199,7 @@ std::optional<FlightOver> DifferentiateByLength(const ContactStep<S, kRotation>&
   };
   const auto value = [](const Jet& x) { return double(x.a); };
   const auto by_time = [](const Jet& x) { return double(x.v[0]); };
-  FlightOver over{pick(flown, value), pick(flown, by_time)};
+  VariableFreeFlight over{pick(flown, value), pick(flown, by_time)};
   if constexpr (kRotation == kSpin) {
     if (!model.properties().linear_rotation) return over;
     const BodyConstants<Jet> spinning{

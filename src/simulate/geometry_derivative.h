@@ -55,7 +55,7 @@ class GeometryDerivative {
   }
 
   // Returns the derivative by Scene::design[i]; NaN if no difference can be taken in some step.
-  double By(std::size_t i) const { return gradient_[i]; }
+  double DesignDerivative(std::size_t i) const { return gradient_[i]; }
 
  private:
   static constexpr double kNotANumber = std::numeric_limits<double>::quiet_NaN();

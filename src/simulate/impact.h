@@ -43,7 +43,7 @@ struct ImpactConstants {
     return 1 / (inverse_mass_a + inverse_mass_b + turning);
   }
   // Returns the largest |v_t| that friction can stop, as a multiple of |v_n|.
-  double MostDrag() const {
+  double MaxStickRatio() const {
     const double drag = friction * (1 + restitution);
     return Spins() ? drag * EffectiveMass() / StickMass() : drag;
   }
@@ -94,7 +94,7 @@ Impact<T> MakeImpact(const ImpactConstants& law, const Vec2<T>& normal, const Ve
 
 // Returns r_a x_a + r_b x_b for numbers x of both discs, such as angular velocities.
 template <typename T>
-T AtRims(const ImpactConstants& law, const std::array<T, 2>& of) {
+T RimVelocity(const ImpactConstants& law, const std::array<T, 2>& of) {
   return T(law.radius[0] * of[0] + law.radius[1] * of[1]);
 }
 
@@ -103,7 +103,7 @@ template <typename T>
 Impact<T> MakeImpact(const ImpactConstants& law, const Vec2<T>& normal, const Vec2<T>& w, const std::array<T, 2>& spin,
                      std::optional<ContactMode> mode = std::nullopt) {
   if (!law.Spins()) return MakeImpact<T>(law, normal, w, mode);
-  const T speed = Dot(normal, w), sliding = Dot(Perpendicular(normal), w) - AtRims(law, spin);
+  const T speed = Dot(normal, w), sliding = Dot(Perpendicular(normal), w) - RimVelocity(law, spin);
   return MakeImpact<T>(normal,
                        speed,
                        sliding,
@@ -143,8 +143,8 @@ CostateGain<T> ImpactAdjoint(const ImpactConstants& law, const Impact<T>& impact
   const T& vt = impact.sliding;
   T y_drag = yt, w_t = vt;  // the costate of p_t, and t.w
   if (law.Spins()) {
-    y_drag -= AtRims<T>(law, {T(law.inverse_inertia[0] * costate[0]), T(law.inverse_inertia[1] * costate[1])});
-    w_t += AtRims(law, spin);
+    y_drag -= RimVelocity<T>(law, {T(law.inverse_inertia[0] * costate[0]), T(law.inverse_inertia[1] * costate[1])});
+    w_t += RimVelocity(law, spin);
   }
   T along_normal = -bounce * yn, along_tangent(0), turning = -bounce * (w_t * yn + vn * yt);
   if (impact.mode == ContactMode::kSlip) {

@@ -263,9 +263,9 @@ class IslandDerivative {
                       std::span<S> before) {
     const std::size_t n = x.size(), states = n * kSize;
     for (Resting& resting : resting_) {
-      if (resting.Is(in, x)) return Sweep(&resting.tape, resting.to, resting.places, after, before);
+      if (resting.Matches(in, x)) return Sweep(&resting.tape, resting.to, resting.places, after, before);
     }
-    Tape& tape = Tape::OfThread();
+    Tape& tape = Tape::ThreadTape();
     tape.Clear();
     std::vector<BodyState<Taped, kRotation>> from(n), to(n);
     std::vector<Vec2<Taped>> force(n);
@@ -359,7 +359,7 @@ class IslandDerivative {
       bodies.assign(in.bodies.begin(), in.bodies.end());
       candidates.assign(in.candidates.begin(), in.candidates.end());
     }
-    bool Is(const StepInput<S>& in, std::span<const State> at) const {
+    bool Matches(const StepInput<S>& in, std::span<const State> at) const {
       return SameBits<State>(x, at) && SameBits<Vec2<S>>(force, in.force) && SameBits<S>(torque, in.torque) &&
              std::ranges::equal(bodies, in.bodies, SameConstants) && std::ranges::equal(candidates, in.candidates) &&
              SameBits<double>(solved, NumbersOf(in));

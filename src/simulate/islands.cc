@@ -6,7 +6,7 @@
 namespace saltus {
 namespace {
 
-bool Before(const Candidate& l, const Candidate& r) {
+bool PrecedesInOrder(const Candidate& l, const Candidate& r) {
   return std::tie(l.plane, l.a, l.b) < std::tie(r.plane, r.a, r.b);
 }
 
@@ -96,7 +96,7 @@ void LocalPairs(std::span<const Candidate> pairs, std::span<const int> bodies, s
   local->clear();
   for (const Candidate& c : pairs) local->push_back({place(c.a), c.plane ? c.b : place(c.b), c.plane});
   if (local->size() == 1) return;
-  std::sort(local->begin(), local->end(), Before);
+  std::sort(local->begin(), local->end(), PrecedesInOrder);
   local->erase(std::unique(local->begin(), local->end()), local->end());
 }
 

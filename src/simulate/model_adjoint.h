@@ -149,10 +149,10 @@ class ModelAdjoint {
     for (std::size_t i = 0; i < given_.design.size(); ++i) {
       const SceneParameter& parameter = given_.design[i].parameter;
       const bool position = parameter.kind == SceneParameter::Kind::kPosition;
-      const std::optional<double> by = ByParameter(given_, parameter, *parameters);
+      const std::optional<double> by = SceneParameterDerivative(given_, parameter, *parameters);
       parameters->design.push_back(by         ? *by
                                    : position ? lambda_[parameter.body * kSize + parameter.component]
-                                              : geometry_.By(i));
+                                              : geometry_.DesignDerivative(i));
     }
   }
 
@@ -160,7 +160,8 @@ class ModelAdjoint {
     const int n = static_cast<int>(island.size());
     const bool with_parameters = out_.parameters != nullptr;
     after_.resize(n * kSize);
-    before_.resize(IslandDerivative<S, kRotation>::NumColumns(n, scene_.turns, with_parameters, scene_.pairs.size()));
+    before_.resize(
+        IslandDerivative<S, kRotation>::NumColumns(n, scene_.has_torques, with_parameters, scene_.pairs.size()));
     for (int i = 0; i < n; ++i) std::copy_n(&lambda_[island[i] * kSize], kSize, &after_[i * kSize]);
     derivative_.ApplyTranspose(
         model_, stepper->LocalInput(), stepper->local_states(), free_, with_parameters, after_, before_);
@@ -180,12 +181,12 @@ class ModelAdjoint {
       if (with_parameters) AddConstantForce(body, push);
       if (IsTorqueWanted(body)) PutTorque(body, k, before_[n * (kSize + 2) + i]);
     }
-    const int parameters = IslandDerivative<S, kRotation>::NumColumns(n, scene_.turns);
+    const int parameters = IslandDerivative<S, kRotation>::NumColumns(n, scene_.has_torques);
     if (with_parameters) AddContactParameters(island, &before_[parameters]);
   }
 
   bool IsControlWanted(int body) const { return control_.Pushes(body) && !out_.control.empty(); }
-  bool IsTorqueWanted(int body) const { return control_.Turns(body) && !out_.control.empty(); }
+  bool IsTorqueWanted(int body) const { return control_.HasTorque(body) && !out_.control.empty(); }
 
   // Stores the sensitivity to the torque on a disc in step k, given the one to torque / radius.
   void PutTorque(int body, int k, S sensitivity) const {
@@ -291,7 +292,7 @@ class ModelAdjoint {
       const Vec2<S> push = Scale(inverse_mass, Vec2<S>(x, y));
       AddConstantForce(i, push);
       if (IsControlWanted(i)) GradientOf(i, k + j).Put(0, push[0], push[1]);
-      if (const S* u = control_.On(i, k + j)) {
+      if (const S* u = control_.ForceOn(i, k + j)) {
         const S unit = S(control_.unit());
         out_.parameters->mass[i] -= Dot(push, Vec2<S>(unit * u[0], unit * u[1])) * inverse_mass;
       }
@@ -308,7 +309,7 @@ class ModelAdjoint {
     for (int j = k + steps - 1; j >= k; --j) {
       const S torque = control_.Torque(i, j);
       if (!IsLinear() && !none) {
-        jacobian = DifferentiateTurn(model_, scene_.h, body, trajectory->At(j)[i], torque);
+        jacobian = DifferentiateTurn(model_, scene_.h, body, trajectory->StateAt(j)[i], torque);
       }
       const Eigen::Matrix<S, 3, 1> before = jacobian.transpose() * cotangent;
       if (IsTorqueWanted(i)) PutTorque(i, j, before[2]);
@@ -321,7 +322,7 @@ class ModelAdjoint {
   void PullBackRotation(int k, int steps, int i, Trajectory<State>* trajectory, S* lambda) {
     Eigen::Map<Eigen::Matrix<S, kRotation, 1>> cotangent(lambda);
     if constexpr (kRotation == kSpin) {
-      if (control_.Turns(i)) return PullBackTurn(k, steps, i, trajectory, lambda);
+      if (control_.HasTorque(i)) return PullBackTurn(k, steps, i, trajectory, lambda);
     }
     if (cotangent.isZero(S(0))) return;
     RotationMatrix jacobian = RotationMatrix::Zero();
@@ -332,7 +333,7 @@ class ModelAdjoint {
     }
     const State* at = nullptr;  // where `jacobian` is; a disc that does not spin keeps it
     for (int j = k + steps - 1; j >= k; --j) {
-      const State& x = trajectory->At(j)[i];
+      const State& x = trajectory->StateAt(j)[i];
       if (at == nullptr || !std::equal(x.rotation, x.rotation + kRotation, at->rotation)) {
         jacobian = DifferentiateRotation(model_, scene_.h, scene_.bodies[i], x);
         at = &x;

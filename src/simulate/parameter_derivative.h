@@ -9,14 +9,14 @@ namespace saltus {
 
 // Returns the derivative by a parameter; std::nullopt for one of the scene's geometry, of which `by` has none. The mass
 // of a solid disc changes its moment of inertia.
-inline std::optional<double> ByParameter(const Scene& scene, const SceneParameter& parameter,
-                                         const ParameterGradient& by) {
+inline std::optional<double> SceneParameterDerivative(const Scene& scene, const SceneParameter& parameter,
+                                                      const ParameterGradient& by) {
   using Kind = SceneParameter::Kind;
   const auto [kind, body, component] = parameter;
   switch (kind) {
     case Kind::kRestitution:
     case Kind::kFriction:
-      return ByContact(parameter, by);
+      return ContactDerivative(parameter, by);
     case Kind::kStiffness:
       return by.stiffness;
     case Kind::kDamping:

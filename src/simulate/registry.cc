@@ -87,10 +87,10 @@ std::vector<OptionValue> OptionsIn(const Contact& contact) {
 
 // Returns the scene in the units in which the model computes: natural ones for event-driven models, whose only
 // constants are thresholds; for others SI, which the constants of their sources have, with the origin near the discs.
-Scene InUnitsOfModel(const ContactEntry& entry, const Scene& scene) {
+Scene ToModelUnits(const ContactEntry& entry, const Scene& scene) {
   const Units natural = NaturalUnits(scene);
-  if (entry.traits.event_driven) return InUnits(scene, natural);
-  return InUnits(scene, {.origin = natural.origin, .loss_at_origin = natural.loss_at_origin});
+  if (entry.traits.event_driven) return ToUnits(scene, natural);
+  return ToUnits(scene, {.origin = natural.origin, .loss_at_origin = natural.loss_at_origin});
 }
 
 bool SameNumbers(const Units& a, const Units& b) {
@@ -105,7 +105,7 @@ std::vector<ModelTraits> CollectTraits() {
 
 }  // namespace
 
-Contact Contact::With(std::string_view option) const {
+Contact Contact::WithOption(std::string_view option) const {
   Contact with = *this;
   with.name_ += ":" + std::string(option);
   return with;
@@ -131,7 +131,7 @@ const ModelTraits* FindContactModel(const Contact& contact) {
 
 const std::vector<ListedOption>& OptionsOf(const Contact& contact) { return Entry(contact).options; }
 
-std::string WhatIsWrongWith(const Contact& contact) {
+std::string Validate(const Contact& contact) {
   const ContactEntry* entry = contact.entry();
   if (entry == nullptr) {
     return "found '" + std::string(ModelIn(contact.name())) +
@@ -151,32 +151,32 @@ bool HasBiasedDerivative(const Contact& contact) {
   return false;
 }
 
-std::string WhyNotApplicable(const Contact& contact, const Scene& scene) {
-  if (std::string wrong = WhatIsWrongWith(contact); !wrong.empty()) return wrong;
+std::string ReasonNotApplicable(const Contact& contact, const Scene& scene) {
+  if (std::string wrong = Validate(contact); !wrong.empty()) return wrong;
   if (const std::optional<SceneError> error = ValidateStructure(scene))
     return "the scene is wrong: " + error->ToString();
   const ContactEntry& entry = Entry(contact);
-  const Scene seen = InUnitsOfModel(entry, scene);
-  std::string reason = entry.why_not_applicable(seen);
-  const std::string beyond = BeyondBallistic(scene);
+  const Scene seen = ToModelUnits(entry, scene);
+  std::string reason = entry.reason_not_applicable(seen);
+  const std::string beyond = NonBallisticForces(scene);
   if (!reason.empty() || beyond.empty() || !entry.traits.event_driven) return reason;
   if (&entry != Contact(ExactModel()->name).entry()) {
     return "the scene has " + beyond +
            ", in which impacts of this model are not located: use event, or a time-stepping model such as lcp";
   }
-  return WhyNotIntegrated(seen);
+  return UnsupportedByIntegratedScene(seen);
 }
 
 std::unique_ptr<Simulator> MakeSimulator(const Contact& contact, const Scene& scene, Precision precision) {
-  const std::string why_not = WhyNotApplicable(contact, scene);
-  CHECK(why_not.empty()) << contact.name() << ": " << why_not;
+  const std::string reason_not_applicable = ReasonNotApplicable(contact, scene);
+  CHECK(reason_not_applicable.empty()) << contact.name() << ": " << reason_not_applicable;
   const ContactEntry& entry = Entry(contact);
-  const Scene seen = InUnitsOfModel(entry, scene);
+  const Scene seen = ToModelUnits(entry, scene);
   const bool same = SameNumbers(seen.units, scene.units);
   const auto make = [&](const Scene& in_units) -> std::unique_ptr<Simulator> {
-    if (BeyondBallistic(scene).empty()) return entry.make(in_units, precision, OptionsIn(contact));
+    if (NonBallisticForces(scene).empty()) return entry.make(in_units, precision, OptionsIn(contact));
     if (entry.traits.event_driven) return MakeIntegratedScene(in_units, entry.traits);
-    return AddForces(in_units, entry.make(WithoutForces(in_units), precision, OptionsIn(contact)));
+    return AddForces(in_units, entry.make(RemoveForces(in_units), precision, OptionsIn(contact)));
   };
   std::unique_ptr<Simulator> simulator = make(same ? scene : seen);
   return same ? std::move(simulator) : ConvertUnits(scene, std::move(simulator));

@@ -35,15 +35,15 @@ void StepLinearization::Apply(std::span<const double> x, std::span<const double>
     const Eigen::Map<const Eigen::VectorXd> from(&x[i * body_size + 4], rotation_size);
     Eigen::Map<Eigen::VectorXd> to(&next[i * body_size + 4], rotation_size);
     to = rotation[f] * from;
-    if (turns) to += force[2 * inverse_mass.size() + i] * turning[f];
+    if (has_torques) to += force[2 * inverse_mass.size() + i] * by_torque[f];
   }
   for (const Island& island : islands) {
     const int n = static_cast<int>(island.bodies.size());
-    Eigen::VectorXd from(n * body_size), push((turns ? 3 : 2) * n);
+    Eigen::VectorXd from(n * body_size), push((has_torques ? 3 : 2) * n);
     for (int i = 0; i < n; ++i) {
       std::copy_n(&x[island.bodies[i] * body_size], body_size, from.data() + i * body_size);
       std::copy_n(&force[2 * island.bodies[i]], 2, push.data() + 2 * i);
-      if (turns) push[2 * n + i] = force[2 * inverse_mass.size() + island.bodies[i]];
+      if (has_torques) push[2 * n + i] = force[2 * inverse_mass.size() + island.bodies[i]];
     }
     const Eigen::VectorXd to = island.A * from + island.B * push;
     for (int i = 0; i < n; ++i) {
@@ -68,7 +68,7 @@ void StepLinearization::ApplyTranspose(std::span<const double> next, std::span<d
     if (rotation_size == 0) continue;
     const Eigen::Map<const Eigen::VectorXd> from(&next[i * body_size + 4], rotation_size);
     Eigen::Map<Eigen::VectorXd>(&x[i * body_size + 4], rotation_size) = rotation[f].transpose() * from;
-    if (turns) force[2 * inverse_mass.size() + i] = turning[f].dot(from);
+    if (has_torques) force[2 * inverse_mass.size() + i] = by_torque[f].dot(from);
   }
   for (const Island& island : islands) {
     const int n = static_cast<int>(island.bodies.size());
@@ -81,7 +81,7 @@ void StepLinearization::ApplyTranspose(std::span<const double> next, std::span<d
     for (int i = 0; i < n; ++i) {
       std::copy_n(to.data() + i * body_size, body_size, &x[island.bodies[i] * body_size]);
       std::copy_n(push.data() + 2 * i, 2, &force[2 * island.bodies[i]]);
-      if (turns) force[2 * inverse_mass.size() + island.bodies[i]] = push[2 * n + i];
+      if (has_torques) force[2 * inverse_mass.size() + island.bodies[i]] = push[2 * n + i];
     }
   }
 }
@@ -103,11 +103,11 @@ void StepLinearization::ToDense(Eigen::MatrixXd* A, Eigen::MatrixXd* B) const {
   }
 }
 
-std::string Simulator::WhyFailed() const {
+std::string Simulator::FailureReason() const {
   if (!failure_) return "";
   RolloutFailure failure = *failure_;
-  if (failure.what.empty()) {
-    failure.what = "the state is not finite";
+  if (failure.reason.empty()) {
+    failure.reason = "the state is not finite";
     std::vector<double> x(state_size());
     for (int k = 0; k <= num_steps_ && failure.step < 0; ++k) {
       GetState(k, x);
@@ -119,7 +119,7 @@ std::string Simulator::WhyFailed() const {
   }
   const std::string where = failure.step < 0 ? "" : "step " + std::to_string(failure.step) + " of ";
   std::string why = where + std::string(traits().name) + ": ";
-  why += failure.what;
+  why += failure.reason;
   if (failure.body >= 0) why += " (" + scene_.bodies[failure.body].name + ")";
   return why;
 }
@@ -143,7 +143,7 @@ void Simulator::ExpandForce(std::span<const double> control, int k, std::span<do
     force[2 * body] = *u++;
     force[2 * body + 1] = *u++;
   }
-  for (int body : scene_.control.turned) force[2 * num_bodies() + body] = *u++;
+  for (int body : scene_.control.torque_bodies) force[2 * num_bodies() + body] = *u++;
 }
 
 void Simulator::SelectControl(std::span<const double> force, std::span<double> row) const {
@@ -151,10 +151,10 @@ void Simulator::SelectControl(std::span<const double> force, std::span<double> r
   CHECK_EQ(static_cast<int>(row.size()), control_width());
   double* u = row.data();
   for (int body : scene_.control.bodies) u = std::copy_n(&force[2 * body], 2, u);
-  for (int body : scene_.control.turned) *u++ = force[2 * num_bodies() + body];
+  for (int body : scene_.control.torque_bodies) *u++ = force[2 * num_bodies() + body];
 }
 
-double ByContact(const SceneParameter& parameter, const ParameterGradient& gradient) {
+double ContactDerivative(const SceneParameter& parameter, const ParameterGradient& gradient) {
   const PairConstants<double> of_scene{gradient.restitution, gradient.friction};
   const PairConstants<double>& by = gradient.pairs.empty() ? of_scene : gradient.pairs[parameter.component];
   return parameter.kind == SceneParameter::Kind::kRestitution ? by.restitution : by.friction;
@@ -186,7 +186,7 @@ std::vector<double> ToState(std::span<const double> initial, int num_bodies) {
 std::vector<double> InitialState(const Scene& scene) {
   std::vector<double> state;
   for (const Body& body : scene.bodies) {
-    const Vec2d velocity = body.path ? PathMotion(*body.path).At(0).velocity : body.velocity;
+    const Vec2d velocity = body.path ? PathMotion(*body.path).SampleAt(0).velocity : body.velocity;
     state.insert(state.end(), {body.position[0], body.position[1], velocity[0], velocity[1]});
   }
   if (!scene.Spins()) return state;
@@ -199,8 +199,8 @@ std::vector<double> InitialControl(const Scene& scene, int num_steps) {
   control.reserve(static_cast<size_t>(num_steps) * scene.control_width());
   for (int k = 0; k < num_steps; ++k) {
     for (const Vec2d& force : scene.control.initial) control.insert(control.end(), {force[0], force[1]});
-    for (int t = 0; t < scene.num_turned(); ++t) {
-      control.push_back(scene.control.initial_torque[t] / scene.bodies[scene.control.turned[t]].radius);
+    for (int t = 0; t < scene.num_torques(); ++t) {
+      control.push_back(scene.control.initial_torque[t] / scene.bodies[scene.control.torque_bodies[t]].radius);
     }
   }
   return control;

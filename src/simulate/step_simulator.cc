@@ -107,7 +107,7 @@ class StepSimulator final : public LaneSimulator {
     CHECK_EQ(static_cast<int>(x.size()), state_size());
     const int w = trajectory_.WindowOf(k);
     if (!trajectory_.Holds(w) && !(k == num_steps_ && trajectory_.HoldsEnd())) RunWindow(w, [](int) {});
-    const S* flat = Flat(trajectory_.At(k).data());
+    const S* flat = Flat(trajectory_.StateAt(k).data());
     std::copy(flat, flat + state_size(), x.begin());
   }
 
@@ -158,11 +158,11 @@ class StepSimulator final : public LaneSimulator {
         double(free_.pp), double(free_.pv), double(free_.pa), double(free_.vp), double(free_.vv), double(free_.va)};
     out.inverse_mass.assign(num_bodies(), 0.0);
     for (int i = 0; i < num_bodies(); ++i) out.inverse_mass[i] = typed_.bodies[i].inverse_mass;
-    out.turns = typed_.turns;
+    out.has_torques = typed_.has_torques;
     out.islands.clear();
     out.flying.clear();
     out.rotation.clear();
-    out.turning.clear();
+    out.by_torque.clear();
     std::vector<char> flying(num_bodies(), 1);
     stepper.FindTouchedIslands(stepper.touches(), [](const Touch& touch) -> const Touch& { return touch; });
     for (int q = 0; q < stepper.islands().size(); ++q) {
@@ -175,7 +175,7 @@ class StepSimulator final : public LaneSimulator {
       stepper.ReleaseScratch();
       const int n = static_cast<int>(island.size());
       Eigen::MatrixXd wide = jacobian.template cast<double>();
-      const int forces = (typed_.turns ? 3 : 2) * n;
+      const int forces = (typed_.has_torques ? 3 : 2) * n;
       for (int i = 0; i < forces - 2 * n; ++i) {
         wide.col(n * (kSize + 2) + i) *= double(typed_.bodies[island[i]].radius);
       }
@@ -192,16 +192,18 @@ class StepSimulator final : public LaneSimulator {
             DifferentiateRotation(*model_, typed_.h, typed_.bodies[i], from[i]).template cast<double>());
       }
       if constexpr (kRotation == kSpin) {
-        if (!typed_.turns) continue;
+        if (!typed_.has_torques) continue;
         const BodyConstants<S>& body = typed_.bodies[i];
         const auto turn = DifferentiateTurn(*model_, typed_.h, body, from[i], stepper.torque()[i]);
         out.rotation.back() = turn.template leftCols<2>().template cast<double>();
-        out.turning.push_back(double(body.radius) * turn.col(2).template cast<double>());
+        out.by_torque.push_back(double(body.radius) * turn.col(2).template cast<double>());
       }
     }
   }
 
-  std::optional<FlightOver> FreeFlightOver(double h) const override { return DifferentiateByLength(*model_, h); }
+  std::optional<VariableFreeFlight> FreeFlightOfLength(double h) const override {
+    return DifferentiateByLength(*model_, h);
+  }
 
   void ExpandInitial(std::span<const double> initial, std::span<double> x) const override {
     CHECK_EQ(static_cast<int>(initial.size()), initial_size());
@@ -266,7 +268,7 @@ class StepSimulator final : public LaneSimulator {
     return !failure_ && !stopped();
   }
   bool IsEndFinite() {
-    if (!AllFinite(trajectory_.At(num_steps_))) failure_.emplace();
+    if (!AllFinite(trajectory_.StateAt(num_steps_))) failure_.emplace();
     return !failure_;
   }
 
@@ -296,11 +298,11 @@ class StepSimulator final : public LaneSimulator {
   template <typename RecordStep>
   int StepUntilFlight(int* k, int end, const RecordStep& record) const {
     for (; *k < end && !stopped(); ++*k) {
-      const int quiet = stepper_.FindCandidates(trajectory_.At(*k));
-      if (stepper_.AllFly()) return std::min(quiet, end - *k);
+      const int quiet = stepper_.FindCandidates(trajectory_.StateAt(*k));
+      if (stepper_.HasNoCandidates()) return std::min(quiet, end - *k);
       control_.SetForce(*k, stepper_.force(), stepper_.torque());
       stepper_.set_finds_ties(ties_.size() < kMostTies);
-      stepper_.Step(*k, trajectory_.At(*k), trajectory_.At(*k + 1));
+      stepper_.Step(*k, trajectory_.StateAt(*k), trajectory_.StateAt(*k + 1));
       if (stepper_.failure()) return 0;
       if (!stepper_.touches().empty()) record(*k);
     }
@@ -337,9 +339,9 @@ class StepSimulator final : public LaneSimulator {
           const auto& [simulator, k, steps] = flights[lane];
           in.steps[lane] = steps;
           if (steps == 0) continue;
-          in.force[lane] = simulator->control_.On(i, k);
-          at[lane] = simulator->trajectory_.At(k + steps).data() + i;
-          *at[lane] = simulator->trajectory_.At(k)[i];
+          in.force[lane] = simulator->control_.ForceOn(i, k);
+          at[lane] = simulator->trajectory_.StateAt(k + steps).data() + i;
+          *at[lane] = simulator->trajectory_.StateAt(k)[i];
         }
         model_->FlyTogether(in, at);
       }
@@ -351,7 +353,7 @@ class StepSimulator final : public LaneSimulator {
     }
   }
 
-  void RecordStates(int k) const { record_.AddStates(stepper_.touches(), trajectory_.At(k), stepper_.solved()); }
+  void RecordStates(int k) const { record_.AddStates(stepper_.touches(), trajectory_.StateAt(k), stepper_.solved()); }
 
   // Loads the data that the adjoint through window w needs. Its touches are begin..end-1.
   void Reload(int w, int begin, int end) {
@@ -366,7 +368,7 @@ class StepSimulator final : public LaneSimulator {
 
   // Moves all discs in free flight for some steps from step k on.
   void Fly(int k, int steps) const {
-    for (int i = 0; i < num_bodies(); ++i) flight_control_[i] = {control_.On(i, k), control_.Turn(i, k)};
+    for (int i = 0; i < num_bodies(); ++i) flight_control_[i] = {control_.ForceOn(i, k), control_.TorqueOn(i, k)};
     FlightInput<S> flight;
     flight.step.h = typed_.h;
     flight.step.gravity = typed_.gravity;
@@ -374,7 +376,7 @@ class StepSimulator final : public LaneSimulator {
     flight.steps = steps;
     flight.control = flight_control_;
     flight.stride = control_.stride();
-    model_->Fly(flight, trajectory_.At(k).data());
+    model_->Fly(flight, trajectory_.StateAt(k).data());
   }
 
   // Takes one step of the whole scene from a state in doubles.
@@ -390,15 +392,15 @@ class StepSimulator final : public LaneSimulator {
           scene_.gravity.norm() + std::hypot(force[2 * i], force[2 * i + 1]) * double(typed_.bodies[i].inverse_mass);
     }
     const auto torque = [&](int i) { return typed_.bodies[i].radius * S(force[2 * num_bodies() + i]); };
-    for (int i = 0; typed_.turns && i < num_bodies(); ++i) {
+    for (int i = 0; typed_.has_torques && i < num_bodies(); ++i) {
       push[i] += HeldControl<S>::AccelerationByTorque(typed_.bodies[i], std::abs(double(torque(i))));
     }
     stepper.set_tie_order(tie_order_);
     stepper.Begin(push);
     for (int i = 0; i < num_bodies(); ++i) stepper.force()[i] = Vec2<S>(S(force[2 * i]), S(force[2 * i + 1]));
-    for (int i = 0; typed_.turns && i < num_bodies(); ++i) stepper.torque()[i] = torque(i);
+    for (int i = 0; typed_.has_torques && i < num_bodies(); ++i) stepper.torque()[i] = torque(i);
     stepper.FindCandidates(*from);
-    stepper.StepAtOnce(*from, *to);
+    stepper.StepWithoutIslands(*from, *to);
     return stepper;
   }
 

@@ -36,7 +36,7 @@ class Stepper {
         scene_(scene),
         broad_phase_(MakeBroadPhase(model.traits(), scene, step)),
         force_(scene.bodies.size()) {
-    if (scene.turns) torque_.resize(scene.bodies.size());
+    if (scene.has_torques) torque_.resize(scene.bodies.size());
   }
 
   void set_tie_order(int order) { tie_order_ = order; }
@@ -56,7 +56,7 @@ class Stepper {
   std::span<S> torque() { return torque_; }
   // Finds the pairs that can touch in the step from x. If there are none, returns for how many steps that holds.
   int FindCandidates(std::span<const State> x) { return broad_phase_.Find(Flat(x), kSize, &candidates_); }
-  bool AllFly() const { return candidates_.empty(); }
+  bool HasNoCandidates() const { return candidates_.empty(); }
 
   // Takes step k, from x to `next`, with the candidates found there.
   void Step(int k, std::span<const State> x, std::span<State> next) {
@@ -70,7 +70,7 @@ class Stepper {
   }
 
   // Takes step 0 by one call of the model, without division into islands.
-  void StepAtOnce(std::span<const State> x, std::span<State> next) {
+  void StepWithoutIslands(std::span<const State> x, std::span<State> next) {
     StepInput<S> in = Input();
     touches_.clear();
     in.touches = &touches_;
@@ -166,7 +166,7 @@ class Stepper {
     SolveRecord solved;
   };
   // Whether islands may come to rest to the last bit, which only exact events can do.
-  bool MayRest() const { return model_.traits().event_driven; }
+  bool MayStayAtRest() const { return model_.traits().event_driven; }
 
   static const S* Flat(std::span<const State> x) { return reinterpret_cast<const S*>(x.data()); }
 
@@ -216,7 +216,7 @@ class Stepper {
     } else {
       TakeStep(k, island, next);
       if (failure_) return;
-      if (MayRest() && SameBits<State>(local_.next, local_.x) && local_.ties.empty()) Remember(q, island);
+      if (MayStayAtRest() && SameBits<State>(local_.next, local_.x) && local_.ties.empty()) Remember(q, island);
     }
     // The derivative treats the touching pairs only: it can use this solution if all pairs of the island touch.
     if (!local_.solved.numbers().empty() && local_.touches.size() == local_.candidates.size()) {
@@ -226,12 +226,12 @@ class Stepper {
       if (!scene_.fixed[island[i]]) next[island[i]] = local_.next[i];
     }
     for (Touch touch : local_.touches) {
-      touch.candidate = InScene(touch.candidate, island);
+      touch.candidate = ToSceneIndices(touch.candidate, island);
       touches_.push_back(touch);
     }
     const int ties = ties_.empty() ? 0 : ties_.back().tie + 1;
     for (const TiedContact& contact : local_.ties) {
-      ties_.push_back({InScene(contact.candidate, island), contact.time, ties + contact.tie});
+      ties_.push_back({ToSceneIndices(contact.candidate, island), contact.time, ties + contact.tie});
     }
   }
 
@@ -248,7 +248,7 @@ class Stepper {
   }
 
   bool RestsAsBefore(int q, std::span<const int> island) const {
-    if (!MayRest() || q >= static_cast<int>(rests_.size())) return false;
+    if (!MayStayAtRest() || q >= static_cast<int>(rests_.size())) return false;
     const Rest& rest = rests_[q];
     return std::ranges::equal(rest.island, island) && SameBits<State>(rest.x, local_.x) &&
            SameBits<Vec2<S>>(rest.force, local_.force) && SameBits<S>(rest.torque, local_.torque) &&
@@ -298,8 +298,8 @@ class Stepper {
   }
 
   // Returns the first pair of the local scene, with the indices of the whole scene.
-  Candidate FirstPair(std::span<const int> island) const { return InScene(local_.candidates[0], island); }
-  static Candidate InScene(const Candidate& c, std::span<const int> island) {
+  Candidate FirstPair(std::span<const int> island) const { return ToSceneIndices(local_.candidates[0], island); }
+  static Candidate ToSceneIndices(const Candidate& c, std::span<const int> island) {
     return {island[c.a], c.plane ? c.b : island[c.b], c.plane};
   }
 

@@ -63,13 +63,13 @@ class Trajectory {
   }
   // Ends a window: its last state becomes the checkpoint of the next one.
   void Close() {
-    if (loaded_ + 1 < num_windows()) std::ranges::copy(At(end(loaded_)), Checkpoint(loaded_ + 1).begin());
+    if (loaded_ + 1 < num_windows()) std::ranges::copy(StateAt(end(loaded_)), Checkpoint(loaded_ + 1).begin());
   }
   bool Holds(int window) const { return loaded_ == window && whole_; }
   bool HoldsEnd() const { return loaded_ == num_windows() - 1; }
 
   // Returns state k of the window that is held, its last state included.
-  std::span<State> At(int k) {
+  std::span<State> StateAt(int k) {
     return {window_.data() + static_cast<std::size_t>(k - begin(loaded_)) * num_bodies_, size()};
   }
 

@@ -30,7 +30,7 @@ struct TypedScene {
       fixed.push_back(body.fixed);
     }
     for (const PairContact& pair : PairContactsOf(scene)) pairs.push_back({S(pair.restitution), S(pair.friction)});
-    turns = scene.num_turned() > 0;
+    has_torques = scene.num_torques() > 0;
     if (scene.table) slowing = S(scene.table->friction * scene.table->gravity);
     for (WallPart& part : WallPartsOf(scene)) {
       const Wall<double>& wall = part.wall;
@@ -73,7 +73,7 @@ struct TypedScene {
   int first_pocket = 0;              // where its pockets begin among them, ...
   int num_pockets = 0;               // ... and how many there are
   S slowing = S(0);                  // m/s^2, of discs that slide on it
-  bool turns = false;                // there are torques
+  bool has_torques = false;          // there are torques
   std::vector<WallExtent> extents;   // of each of these
   std::vector<WallPart> wall_parts;  // the same, not rounded
 };
@@ -84,13 +84,13 @@ class HeldControl {
  public:
   explicit HeldControl(const Scene& scene)
       : bodies_(scene.control.bodies),
-        turned_(scene.control.turned),
+        torque_bodies_(scene.control.torque_bodies),
         stride_(scene.control_width()),
         place_(scene.bodies.size(), -1),
-        turn_place_(scene.bodies.size(), -1) {
+        torque_place_(scene.bodies.size(), -1) {
     for (std::size_t c = 0; c < bodies_.size(); ++c) place_[bodies_[c]] = static_cast<int>(c);
-    for (std::size_t t = 0; t < turned_.size(); ++t) {
-      turn_place_[turned_[t]] = static_cast<int>(scene.TurnIndex(0, static_cast<int>(t)));
+    for (std::size_t t = 0; t < torque_bodies_.size(); ++t) {
+      torque_place_[torque_bodies_[t]] = static_cast<int>(scene.TorqueIndex(0, static_cast<int>(t)));
     }
     for (const Body& body : scene.bodies) radius_.push_back(S(body.radius));
   }
@@ -120,7 +120,7 @@ class HeldControl {
     forces_ = copy_.data();
     unit_ = 1;
   }
-  // The units of the forces of On(), and of those by which derivatives are taken, N.
+  // The units of the forces of ForceOn(), and of those by which derivatives are taken, N.
   double unit() const { return unit_; }
   double derivative_unit() const { return derivative_unit_; }
 
@@ -129,22 +129,22 @@ class HeldControl {
   std::ptrdiff_t Offset(int body, int k) const { return k * stride() + 2 * place_[body]; }
   std::ptrdiff_t stride() const { return stride_; }
   // Returns a pointer to this force, in units of unit(); null if the disc is not pushed.
-  const S* On(int body, int k) const { return Pushes(body) ? forces_ + Offset(body, k) : nullptr; }
+  const S* ForceOn(int body, int k) const { return Pushes(body) ? forces_ + Offset(body, k) : nullptr; }
 
-  bool Turns(int body) const { return turn_place_[body] >= 0; }
+  bool HasTorque(int body) const { return torque_place_[body] >= 0; }
   // The index of torque / radius of a turned disc in step k, a pointer to it, and the torque, N m; null and 0 for other
   // discs.
-  std::ptrdiff_t TurnOffset(int body, int k) const { return k * stride() + turn_place_[body]; }
-  const S* Turn(int body, int k) const { return Turns(body) ? forces_ + TurnOffset(body, k) : nullptr; }
-  S Torque(int body, int k) const { return Turns(body) ? radius_[body] * forces_[TurnOffset(body, k)] : S(0); }
+  std::ptrdiff_t TurnOffset(int body, int k) const { return k * stride() + torque_place_[body]; }
+  const S* TorqueOn(int body, int k) const { return HasTorque(body) ? forces_ + TurnOffset(body, k) : nullptr; }
+  S Torque(int body, int k) const { return HasTorque(body) ? radius_[body] * forces_[TurnOffset(body, k)] : S(0); }
 
   // Sets the forces and torques of step k; those on other discs stay.
   void SetForce(int k, std::span<Vec2<S>> force, std::span<S> torque) const {
     for (int body : bodies_) {
-      const S* u = On(body, k);
+      const S* u = ForceOn(body, k);
       force[body] = Vec2<S>(S(unit_) * u[0], S(unit_) * u[1]);
     }
-    for (int body : turned_) torque[body] = Torque(body, k);
+    for (int body : torque_bodies_) torque[body] = Torque(body, k);
   }
 
   // Adds to `push`, of every disc, the largest of its accelerations by the forces of steps begin..end-1, m/s^2.
@@ -159,7 +159,7 @@ class HeldControl {
         using Pack = typename Pairs::Pack;
         const std::ptrdiff_t stride = stride_;
         const S unit = S(unit_);
-        const S* u = On(body, begin);
+        const S* u = ForceOn(body, begin);
         Pack largest = {};
         int left = end - begin;
         for (; left >= kAtATime; left -= kAtATime, u += kAtATime * stride) {
@@ -182,7 +182,7 @@ class HeldControl {
       });
       push[body] += std::sqrt(double(most)) * double(bodies[body].inverse_mass);
     }
-    for (int body : turned_) {
+    for (int body : torque_bodies_) {
       double largest = 0;
       for (int k = begin; k < end; ++k) largest = std::max(largest, std::abs(double(Torque(body, k))));
       push[body] += AccelerationByTorque(bodies[body], largest);
@@ -196,11 +196,11 @@ class HeldControl {
   }
 
  private:
-  std::vector<int> bodies_, turned_;  // those that are controlled, and of these those that are turned
+  std::vector<int> bodies_, torque_bodies_;  // those that are controlled, and of these those that are turned
   std::ptrdiff_t stride_;
-  std::vector<int> place_;       // of each disc among them; -1 if it is not
-  std::vector<int> turn_place_;  // of each disc: where in a step torque / radius stands; -1 if it is not turned
-  std::vector<S> radius_;        // m, of each disc
+  std::vector<int> place_;         // of each disc among them; -1 if it is not
+  std::vector<int> torque_place_;  // of each disc: where in a step torque / radius stands; -1 if it is not turned
+  std::vector<S> radius_;          // m, of each disc
   std::vector<S> copy_;
   const S* forces_ = nullptr;
   std::size_t num_referred_ = 0;

@@ -23,9 +23,9 @@ struct RolloutOutcome {
 // Rolls out under a contact model by equal steps that last as long as the control.
 RolloutOutcome RollOutUnderModel(const SolveRequest& request, const SolveReport& report, const StopRequest& stop) {
   double price_of_time = 0;
-  const Scene scene = WithFixedTime(request.scene, InputOf(report), &price_of_time);
+  const Scene scene = FixFinalTime(request.scene, InputOf(report), &price_of_time);
   RolloutOutcome outcome;
-  outcome.reason = WhyNotApplicable(request.contact, scene);
+  outcome.reason = ReasonNotApplicable(request.contact, scene);
   if (!outcome.reason.empty()) return outcome;
   SingleShooting shooting(MakeSimulator(request.contact, scene, request.precision));
   shooting.set_stop(stop);
@@ -37,7 +37,7 @@ RolloutOutcome RollOutUnderModel(const SolveRequest& request, const SolveReport&
   }
   double loss = 0;
   if (!shooting.Evaluate(z, &loss, nullptr)) {
-    outcome.reason = shooting.stopped() ? kStopped : shooting.WhyFailed();
+    outcome.reason = shooting.stopped() ? kStopped : shooting.FailureReason();
     return outcome;
   }
   outcome.loss = loss + price_of_time;
@@ -136,7 +136,7 @@ CheckedRun SimulateAndCheck(const SolveRequest& request, const std::optional<Con
   SolveReport& report = run.report;
   report.solver = kNoSolver;
   report.contact = request.contact.name();
-  report.reason = WhyNotApplicable(request.contact, scene);
+  report.reason = ReasonNotApplicable(request.contact, scene);
   report.termination = report.reason.empty() ? Termination::kFailed : Termination::kNotApplicable;
   if (!report.reason.empty()) return run;
   const auto begin = std::chrono::steady_clock::now();

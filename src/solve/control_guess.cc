@@ -21,7 +21,7 @@ std::vector<double> Boundaries(const ControlGuess& guess, size_t intervals) {
 
 }  // namespace
 
-std::string WhatIsWrongWith(const ControlGuess& guess, const Scene& scene) {
+std::string Validate(const ControlGuess& guess, const Scene& scene) {
   const size_t width = scene.control_width(), found = guess.control.size();
   if (width == 0) return "guess: a control, expected a scene in which something is pushed";
   if (found == 0 || found % width != 0) {

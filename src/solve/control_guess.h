@@ -9,7 +9,7 @@
 namespace saltus {
 
 // Checks the sizes and numbers of a guess for the scene; returns an error, empty if it is valid.
-std::string WhatIsWrongWith(const ControlGuess& guess, const Scene& scene);
+std::string Validate(const ControlGuess& guess, const Scene& scene);
 
 // The lengths of its intervals, and their sum.
 std::vector<double> LengthsOf(const ControlGuess& guess, const Scene& scene);

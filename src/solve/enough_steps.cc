@@ -30,7 +30,7 @@ bool NeedsMoreSteps(const HybridProblem& problem, const SolveReport& report, std
   HybridShooting accurate(problem);
   HybridShooting::Outcome outcome;
   if (!accurate.Simulate(SolutionOf(problem, report), &outcome)) {
-    *why = accurate.WhyFailed();
+    *why = accurate.FailureReason();
     return true;
   }
   // Where an event is at a jump of the control, other steps may have other events in the same motion.
@@ -78,7 +78,7 @@ SolveReport SolveWithEnoughSteps(const HybridProblem& problem, const SolverOptio
     HybridProblem from = problem;
     from.guess = SolutionOf(problem, report);
     from.guess_states.clear();
-    SolveReport more = solve(WithConstraintsOfOrderOne(from, from.guess), chain.Next());
+    SolveReport more = solve(ScaleConstraints(from, from.guess), chain.Next());
     if (more.history.losses.empty()) return report;
     initial_loss = more.guess.loss;
     const auto converged = [](const SolveReport& r) { return r.termination == Termination::kConverged; };

@@ -12,10 +12,10 @@
 namespace saltus {
 namespace {
 
-std::optional<GridOptimum> FindBest(const Scene& scene, std::string* why_not) {
+std::optional<GridOptimum> FindBest(const Scene& scene, std::string* reason_not_applicable) {
   std::optional<GridOptimum> best;
   for (const TwoDiscSequence sequence : {TwoDiscSequence::kImpactThenPlane, TwoDiscSequence::kImpact}) {
-    const std::optional<GridOptimum> found = FindGridOptimum(scene, sequence, why_not);
+    const std::optional<GridOptimum> found = FindGridOptimum(scene, sequence, reason_not_applicable);
     if (found && (!best || found->loss < best->loss)) best = found;
   }
   return best;
@@ -30,11 +30,11 @@ std::string Describe(const Units& units, const GridOptimum& optimum) {
 
 }  // namespace
 
-std::string WhyNotGridOptimum(const SolveRequest& request) {
+std::string UnsupportedByGridOptimum(const SolveRequest& request) {
   if (!IsExact(request)) return "the closed form is that of exact event-driven dynamics";
   if (request.scene.optimize != Optimize::kControl) return "the closed form optimizes a control";
-  std::string why_not;
-  return FindBest(request.scene, &why_not) ? "" : why_not;
+  std::string reason_not_applicable;
+  return FindBest(request.scene, &reason_not_applicable) ? "" : reason_not_applicable;
 }
 
 SolveReport SolveByGridOptimum(const SolveRequest& request, const SolverOptions& options) {

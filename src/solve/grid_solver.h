@@ -13,6 +13,6 @@ namespace saltus {
 SolveReport SolveByGridOptimum(const SolveRequest& request, const SolverOptions& options);
 
 // Returns the reason why the closed form does not support a request; empty if it does.
-std::string WhyNotGridOptimum(const SolveRequest& request);
+std::string UnsupportedByGridOptimum(const SolveRequest& request);
 
 }  // namespace saltus

@@ -88,7 +88,7 @@ bool StartMultipliers(const HmpSystem& system, std::vector<double>* y) {
 }
 
 // A certificate with the residuals of the conditions, relative to `scale`.
-Certificate WithResiduals(const std::vector<double>& residuals, const ConditionSizes& sizes, double scale) {
+Certificate MakeResidualCertificate(const std::vector<double>& residuals, const ConditionSizes& sizes, double scale) {
   const double* hamiltonian = residuals.data() + sizes.jumps;
   const double* terminal = hamiltonian + sizes.hamiltonians + sizes.gaps;
   Certificate certificate;
@@ -101,7 +101,7 @@ Certificate WithResiduals(const std::vector<double>& residuals, const ConditionS
 Certificate CertifyOptimum(const ContinuousOptimum& optimum, const Certificate& on_grid) {
   const ConditionSizes& sizes = optimum.shooting.sizes();
   const double* hamiltonian = optimum.residuals.data() + sizes.jumps;
-  Certificate certificate = WithResiduals(optimum.residuals, sizes, optimum.scale);
+  Certificate certificate = MakeResidualCertificate(optimum.residuals, sizes, optimum.scale);
   certificate.impacts = on_grid.impacts;
   for (size_t k = 0; k < certificate.impacts.size(); ++k) {
     ImpactCertificate& impact = certificate.impacts[k];
@@ -123,8 +123,8 @@ Certificate CertifyOptimum(const ContinuousOptimum& optimum, const Certificate& 
   return certificate;
 }
 
-std::string WhyNotConstrainedHmp(const SolveRequest& request) {
-  if (std::string reason = WhyNotExactPhases(request); !reason.empty()) return reason;
+std::string UnsupportedByConstrainedHmp(const SolveRequest& request) {
+  if (std::string reason = UnsupportedByExactPhases(request); !reason.empty()) return reason;
   return CostateShooting::ReasonNotSupported(request.scene);
 }
 
@@ -170,7 +170,7 @@ Certificate CertifyRoot(const EventPhases& phases, const HmpRoot& root, const Ex
   y.insert(y.end(), root.multipliers.begin(), root.multipliers.end());
   Path<double> path;
   system.Evaluate(y.data(), &path, r.data());
-  Certificate certificate = WithResiduals(r, system.sizes, root.scale);
+  Certificate certificate = MakeResidualCertificate(r, system.sizes, root.scale);
   const double* hamiltonian = r.data() + system.sizes.jumps;  // last impact first
   const int n = system.num_impacts();
   for (int k = 0; k < n; ++k) {
@@ -257,7 +257,7 @@ Attempt SolveFrom(const Trial& start, const ContactSequence& sequence, PhaseRun*
   }
   attempt.termination = Termination::kNoProgress;
   if (minimum.touches || !attempt.trial.exact.only_impacts || attempt.trial.exact.contacts != sequence) {
-    attempt.reason = WhyNotOptimal(scene, sequence, minimum.touches, attempt.trial.exact);
+    attempt.reason = ReasonNotOptimal(scene, sequence, minimum.touches, attempt.trial.exact);
     return attempt;
   }
   attempt.continuous = CertifyRoot(phases, root, attempt.trial.exact);
@@ -344,20 +344,21 @@ std::optional<ContinuousOptimum> FindContinuousOptimum(const Scene& scene, const
   return found;
 }
 
-std::string WhyNotHmp(const SolveRequest& request) {
-  return BeyondTerminalCost(request.scene).empty() ? WhyNotEventPhases(request) : WhyNotConstrainedHmp(request);
+std::string UnsupportedByHmp(const SolveRequest& request) {
+  return NonTerminalFeatures(request.scene).empty() ? UnsupportedByEventPhases(request)
+                                                    : UnsupportedByConstrainedHmp(request);
 }
 
 SolveReport SolveByHmp(const SolveRequest& request, const SolverOptions& options) {
-  if (!BeyondTerminalCost(request.scene).empty()) return SolveConstrainedByHmp(request, options);
+  if (!NonTerminalFeatures(request.scene).empty()) return SolveConstrainedByHmp(request, options);
   PhaseRun run("hmp", request, options);
   const Scene& scene = run.scene();
   const ContactSequence sequence = SequenceFor(options, run.guess());
-  if (auto refused = run.WhyNot(sequence)) return *refused;
+  if (auto refused = run.SequenceFailure(sequence)) return *refused;
   Attempt attempt = SolveFrom(run.guess(), sequence, &run);
   for (int saddles = 0; saddles < kMostSaddles && attempt.termination == Termination::kConverged; ++saddles) {
     if (!attempt.certificate->IsSaddle()) break;
-    const std::vector<Trial> aside = StepAside(scene, attempt.trial, attempt.certificate->curvature->direction);
+    const std::vector<Trial> aside = SearchBothSides(scene, attempt.trial, attempt.certificate->curvature->direction);
     if (aside.empty()) break;
     Attempt next;
     next.trial = aside.front();

@@ -54,9 +54,9 @@ std::optional<ContinuousOptimum> FindContinuousOptimum(const Scene& scene, const
                                                        int most_iterations);
 
 // Returns the reason why the method does not support a request; empty if it does.
-std::string WhyNotHmp(const SolveRequest& request);
+std::string UnsupportedByHmp(const SolveRequest& request);
 
-// Precondition: WhyNotHmp is empty.
+// Precondition: UnsupportedByHmp() is empty.
 SolveReport SolveByHmp(const SolveRequest& request, const SolverOptions& options);
 
 }  // namespace saltus

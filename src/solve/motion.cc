@@ -48,7 +48,7 @@ Scene PartOf(const Scene& scene, const std::vector<int>& discs) {
 class ExactFlight {
  public:
   // The exact model takes `scene`, which is in its natural units and outlives the object.
-  explicit ExactFlight(const Scene& scene) : scene_(scene), integrates_(!BeyondBallistic(scene).empty()) {}
+  explicit ExactFlight(const Scene& scene) : scene_(scene), integrates_(!NonBallisticForces(scene).empty()) {}
 
   // Sets which discs touch anything in the flights that follow; all others must not.
   void SetTouching(const std::vector<char>& touches) {
@@ -62,10 +62,10 @@ class ExactFlight {
   // The state (simulator.h) after `time` from state x at time `begin` under `force` (B x 2, on every disc). That is x
   // if the time is too short for numbers; not a number where the simulation fails.
   std::vector<double> Fly(std::span<const double> x, std::span<const double> force, double begin, double time) const {
-    Scene part = FromTimeOn(part_, begin);
+    Scene part = ShiftTimeOrigin(part_, begin);
     part.duration = time;
     std::vector<double> next(x.begin(), x.end());
-    if (!WhyNotApplicable(model_, part).empty()) return next;
+    if (!ReasonNotApplicable(model_, part).empty()) return next;
     const std::unique_ptr<Simulator> simulator = MakeSimulator(model_, part, Precision::kDouble);
     const std::size_t size = simulator->body_size();
     std::vector<double> from, pushes;
@@ -168,7 +168,7 @@ class Way {
   std::span<const double> x() const { return x_; }
   std::span<const double> next() const { return next_; }
   std::span<const double> force() const { return force_; }
-  std::string WhyFailed() const { return simulator_->stopped() ? kStopped : simulator_->WhyFailed(); }
+  std::string FailureReason() const { return simulator_->stopped() ? kStopped : simulator_->FailureReason(); }
 
   // Takes step k = 0, 1, ...; false where the rollout fails or is stopped.
   bool Take(int k) {
@@ -306,7 +306,7 @@ class ExactMotion {
     if (motion_.failure.empty()) recorder_.AddNode(0, ToState(x, scene_.num_bodies()), size_);
     for (const Group& group : GroupsOf(lengths)) {
       if (!motion_.failure.empty()) break;
-      Scene part = FromTimeOn(scene_, start_);
+      Scene part = ShiftTimeOrigin(scene_, start_);
       part.steps = group.count;
       part.duration = group.count * group.length;
       const std::span<const double> rows(control.data() + width * group.first, width * group.count);
@@ -318,7 +318,7 @@ class ExactMotion {
 
  private:
   void RunGroup(const Scene& part, std::span<const double> rows, std::vector<double>* x) {
-    motion_.failure = WhyNotApplicable(ExactModel()->name, part);
+    motion_.failure = ReasonNotApplicable(ExactModel()->name, part);
     if (!motion_.failure.empty()) return;
     Way way(ExactModel()->name, part, Precision::kDouble, *x, rows, options_);
     const double h = way.simulator().step();
@@ -329,7 +329,7 @@ class ExactMotion {
     auto event = events.begin();
     for (int k = 0; k < way.num_steps(); ++k) {
       if (!way.Take(k)) {
-        motion_.failure = way.WhyFailed();
+        motion_.failure = way.FailureReason();
         return;
       }
       std::vector<StepTouch> here;
@@ -433,7 +433,7 @@ Motion Refuse(const std::string& reason) {
 
 }  // namespace
 
-Scene WithFixedTime(Scene scene, const MotionInput& input, double* price) {
+Scene FixFinalTime(Scene scene, const MotionInput& input, double* price) {
   scene.free.clear();
   scene.optimize = scene.num_controlled() > 0 ? Optimize::kControl : Optimize::kNone;
   if (!scene.objective.duration) return scene;
@@ -444,8 +444,8 @@ Scene WithFixedTime(Scene scene, const MotionInput& input, double* price) {
 }
 
 Motion SimulateExactMotion(const Scene& given, const MotionInput& input, const MotionOptions& options) {
-  if (const std::string reason = WhyNotApplicable(ExactModel()->name, given); !reason.empty()) return Refuse(reason);
-  const Scene scene = InNaturalUnits(given);
+  if (const std::string reason = ReasonNotApplicable(ExactModel()->name, given); !reason.empty()) return Refuse(reason);
+  const Scene scene = ToNaturalUnits(given);
   const UnitFactors to(given.units, scene.units);
   std::vector<double> lengths(scene.steps, scene.dt());
   if (scene.num_controlled() > 0) {
@@ -467,7 +467,7 @@ Motion SimulateMotion(const Scene& given, const Contact& contact, const MotionIn
   if (!input.durations.empty()) {
     scene.duration = std::accumulate(input.durations.begin(), input.durations.end(), 0.0);
   }
-  if (const std::string reason = WhyNotApplicable(contact, scene); !reason.empty()) return Refuse(reason);
+  if (const std::string reason = ReasonNotApplicable(contact, scene); !reason.empty()) return Refuse(reason);
   if (contact.entry()->traits.event_driven) return SimulateExactMotion(given, input, options);
   const int steps = scene.steps / contact.entry()->traits.grid_steps;
   std::vector<double> control = input.control;
@@ -484,7 +484,7 @@ Motion SimulateMotion(const Scene& given, const Contact& contact, const MotionIn
   recorder.AddNode(0, way.x(), size);
   for (int k = 0; k < way.num_steps(); ++k) {
     if (!way.Take(k)) {
-      motion.failure = way.WhyFailed();
+      motion.failure = way.FailureReason();
       break;
     }
     for (; touch != way.simulator().touches().end() && touch->step == k; ++touch) {
@@ -497,7 +497,7 @@ Motion SimulateMotion(const Scene& given, const Contact& contact, const MotionIn
   return motion;
 }
 
-Motion AtNodes(const Motion& motion, const std::vector<double>& nodes) {
+Motion StatesAtNodes(const Motion& motion, const std::vector<double>& nodes) {
   Motion at{.times = nodes, .states = {}, .arcs = false, .touches = motion.touches, .failure = motion.failure};
   if (motion.times.empty()) return at;
   const double margin = 1e-10 * motion.times.back();

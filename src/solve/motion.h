@@ -38,7 +38,7 @@ struct MotionInput {
 
 // The scene with its control as all that is free, and with the duration that the input has, if that is free; `price`
 // is then what the objective charges for it.
-Scene WithFixedTime(Scene scene, const MotionInput& input, double* price);
+Scene FixFinalTime(Scene scene, const MotionInput& input, double* price);
 
 struct MotionOptions {
   Precision precision = Precision::kDouble;
@@ -57,6 +57,6 @@ Motion SimulateExactMotion(const Scene& scene, const MotionInput& input, const M
 
 // The states at the nodes of the control's intervals alone: without the instants in between, and of an instant that
 // stands twice the first.
-Motion AtNodes(const Motion& motion, const std::vector<double>& nodes);
+Motion StatesAtNodes(const Motion& motion, const std::vector<double>& nodes);
 
 }  // namespace saltus

@@ -17,9 +17,9 @@ namespace {
 SingleShooting MakeShooting(const Contact& contact, const SolveRequest& request) {
   const Precision precision = request.precision;
   return SingleShooting(MakeSimulator(contact, request.scene, precision),
-                        SingleShooting::Variables::kOfScene,
+                        SingleShooting::Variables::kOptimized,
                         [contact, precision](const Scene& scene) {
-                          const bool takes = WhyNotApplicable(contact, scene).empty();
+                          const bool takes = ReasonNotApplicable(contact, scene).empty();
                           return takes ? MakeSimulator(contact, scene, precision) : nullptr;
                         });
 }
@@ -78,7 +78,7 @@ std::string Describe(Termination termination, const CeresOutcome& outcome) {
 
 }  // namespace
 
-std::string WhatIsWrongWith(const SolverOptions& options) {
+std::string Validate(const SolverOptions& options) {
   if (options.limits.iterations < 0) {
     return "iterations: found " + std::to_string(options.limits.iterations) + ", expected 0 or more";
   }
@@ -86,7 +86,7 @@ std::string WhatIsWrongWith(const SolverOptions& options) {
     return "learning_rate: found " + ToText(options.descent.learning_rate) + ", expected a finite number > 0";
   }
   if (options.threads < 0) return "threads: found " + std::to_string(options.threads) + ", expected 0 or more";
-  return WhyNotValid(options.sequences.limits);
+  return Validate(options.sequences.limits);
 }
 
 void SetSolution(const ShootingFunction& shooting, std::span<const double> z, Solution* solution) {
@@ -121,7 +121,7 @@ SolveReport ShootingRun::Finish(std::span<const double> z, Termination terminati
     termination = Termination::kInterrupted;
     reason.clear();
   }
-  const std::string why = termination == Termination::kFailed ? shooting.WhyFailed() : "";
+  const std::string why = termination == Termination::kFailed ? shooting.FailureReason() : "";
   if (const std::string remark = RemarkOn(z, termination); !remark.empty()) {
     reason += (reason.empty() ? "" : ": ") + remark;
   }
@@ -140,7 +140,8 @@ SolveReport ShootingRun::Finish(std::span<const double> z, Termination terminati
 }
 
 SolveRun::SolveRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options)
-    : ShootingRun(solver, options), shooting_(MakeShooting(ContactWith(options.surrogate, request.contact), request)) {
+    : ShootingRun(solver, options),
+      shooting_(MakeShooting(ApplySurrogate(options.surrogate, request.contact), request)) {
   shooting_.set_memory_limit(options.limits.memory);
   shooting_.set_stop([this] {
     const auto& most = options_.limits.impacts;
@@ -171,9 +172,9 @@ std::string SolveRun::RemarkOn(std::span<const double> z, Termination terminatio
   return in_pockets.empty() ? "" : in_pockets + ", where the loss has no slope";
 }
 
-std::string WhyNotShot(const SolveRequest& request, const BoundsKept& bounds) {
+std::string UnsupportedByShooting(const SolveRequest& request, const BoundsKept& bounds) {
   const Scene& scene = request.scene;
-  if (std::string reason = WhyNothingToOptimize(scene); !reason.empty()) return reason;
+  if (std::string reason = ReasonNothingToOptimize(scene); !reason.empty()) return reason;
   const auto refuse = [](const std::string& what, const std::string& why) {
     return "the scene has " + what + ", " + why + "; ceres_phases takes them";
   };
@@ -209,7 +210,7 @@ std::string WhyNotShot(const SolveRequest& request, const BoundsKept& bounds) {
   return "";
 }
 
-std::string WhyNothingToOptimize(const Scene& scene) {
+std::string ReasonNothingToOptimize(const Scene& scene) {
   if (!scene.design.empty()) return "";
   const bool nothing = scene.optimize == Optimize::kNone ||
                        (scene.optimize == Optimize::kControl ? scene.control.bodies.empty() : scene.free.empty());
@@ -233,7 +234,7 @@ End RecordEnd(ShootingRun* run, RecordIteration* record, std::span<const double>
     for (size_t i = run->num_recorded(); i < outcome.iterations.size(); ++i) record->Record(outcome.iterations[i]);
   }
   std::string words = Describe(termination, outcome);
-  if (termination == Termination::kFailed) AddReason(run->function().WhyFailed(), &words);
+  if (termination == Termination::kFailed) AddReason(run->function().FailureReason(), &words);
   // Where the gradient vanishes at the initial guess, the line search solver reports no iteration at all.
   double loss = 0;
   if (run->num_recorded() == 0 && run->function().Evaluate(z, &loss, nullptr)) run->Record(loss, z);

@@ -19,7 +19,7 @@
 namespace saltus {
 
 // Returns the error of an option that is wrong for every solver, as "found x, expected y"; empty if there is none.
-std::string WhatIsWrongWith(const SolverOptions& options);
+std::string Validate(const SolverOptions& options);
 
 // Sets what the motion at the decision variables z depends on.
 void SetSolution(const ShootingFunction& shooting, std::span<const double> z, Solution* solution);
@@ -82,10 +82,10 @@ struct BoundsKept {
   bool components = false, norm = false;
 };
 // Returns the reason why single shooting does not support a request; empty if it does.
-std::string WhyNotShot(const SolveRequest& request, const BoundsKept& bounds);
+std::string UnsupportedByShooting(const SolveRequest& request, const BoundsKept& bounds);
 
 // Returns the reason why single shooting has nothing to optimize in a scene; empty if it has.
-std::string WhyNothingToOptimize(const Scene& scene);
+std::string ReasonNothingToOptimize(const Scene& scene);
 
 // Tolerances so tight that in smooth problems rounding alone stops Ceres; whether that was a minimum is judged by
 // Conclude. Solvers work in natural units (scene/units.h), in which losses and variables are about 1, as Ceres'
@@ -108,14 +108,14 @@ void SetCommonOptions(int iterations, CeresOptions* options) {
 // Calls a function after each iteration. Where it returns false, Ceres stops and keeps its iterate.
 class AfterIteration final : public ceres::IterationCallback {
  public:
-  using MayGoOn = std::function<bool(const ceres::IterationSummary& summary)>;
-  explicit AfterIteration(MayGoOn may_go_on) : may_go_on_(std::move(may_go_on)) {}
+  using ContinuePredicate = std::function<bool(const ceres::IterationSummary& summary)>;
+  explicit AfterIteration(ContinuePredicate may_continue) : may_continue_(std::move(may_continue)) {}
   ceres::CallbackReturnType operator()(const ceres::IterationSummary& summary) override {
-    return may_go_on_(summary) ? ceres::SOLVER_CONTINUE : ceres::SOLVER_TERMINATE_SUCCESSFULLY;
+    return may_continue_(summary) ? ceres::SOLVER_CONTINUE : ceres::SOLVER_TERMINATE_SUCCESSFULLY;
   }
 
  private:
-  MayGoOn may_go_on_;
+  ContinuePredicate may_continue_;
 };
 
 // A gradient has vanished if it is below kGradientTolerance, or this part of the largest one met.

@@ -40,22 +40,22 @@ constexpr double kRounding = 1e-9;  // relative: two losses or violations that d
 
 bool IsLess(double less, double than) { return than - less > kRounding * std::max(std::abs(less), std::abs(than)); }
 
-std::string WhyNotGradientDescent(const SolveRequest& request) {
-  return WhyNotShot(request, {.components = true, .norm = true});
+std::string UnsupportedByGradientDescent(const SolveRequest& request) {
+  return UnsupportedByShooting(request, {.components = true, .norm = true});
 }
 
-std::string WhyNotLbfgs(const SolveRequest& request) { return WhyNotShot(request, {}); }
+std::string UnsupportedByLbfgs(const SolveRequest& request) { return UnsupportedByShooting(request, {}); }
 
-std::string WhyNotLeastSquares(const SolveRequest& request) {
+std::string UnsupportedByLeastSquares(const SolveRequest& request) {
   if (!request.scene.objective.IsSumOfSquares()) {
     return "the loss has a linear term and is no sum of squares: use gd or ceres_lbfgs";
   }
-  return WhyNothingToOptimize(request.scene);
+  return ReasonNothingToOptimize(request.scene);
 }
 
-std::string WhyNotLm(const SolveRequest& request) {
-  const std::string reason = WhyNotLeastSquares(request);
-  return reason.empty() ? WhyNotShot(request, {.components = true}) : reason;
+std::string UnsupportedByLm(const SolveRequest& request) {
+  const std::string reason = UnsupportedByLeastSquares(request);
+  return reason.empty() ? UnsupportedByShooting(request, {.components = true}) : reason;
 }
 
 std::string UnknownSolver(std::string_view name) {
@@ -66,14 +66,14 @@ std::string UnknownSolver(std::string_view name) {
   return "solver: found '" + std::string(name) + "', expected a solver: " + known;
 }
 
-std::string WhatIsWrongWith(const SolverOptions& options, const Scene& scene) {
-  if (std::string wrong = WhatIsWrongWith(options); !wrong.empty()) return wrong;
+std::string Validate(const SolverOptions& options, const Scene& scene) {
+  if (std::string wrong = Validate(options); !wrong.empty()) return wrong;
   if (options.descent.rate_per_time && scene.optimize != Optimize::kControl) {
     return "rate_per_time: expected a scene in which a control is optimized";
   }
   if (options.guess) {
     if (scene.optimize != Optimize::kControl) return "guess: expected a scene in which a control is optimized";
-    if (std::string wrong = WhatIsWrongWith(*options.guess, scene); !wrong.empty()) return wrong;
+    if (std::string wrong = Validate(*options.guess, scene); !wrong.empty()) return wrong;
   }
   if (!options.sequences.given) return "";
   const ContactSequence pairs = AllPairs(scene);
@@ -87,14 +87,14 @@ std::string WhatIsWrongWith(const SolverOptions& options, const Scene& scene) {
 }
 
 // Returns the parts of a scene that require a solver with constraints and states along the motion, as a reason.
-std::string WhyNotPlain(const Scene& scene) {
-  const std::string found = BeyondTerminalCost(scene);
+std::string UnsupportedWithoutConstraints(const Scene& scene) {
+  const std::string found = NonTerminalFeatures(scene);
   return found.empty() ? "" : "the scene has " + found + ", which ceres_phases takes";
 }
 
-std::string WhyNotSurrogate(const SolverEntry& entry, const SolveRequest& request, const Surrogate& surrogate) {
-  if (std::string wrong = WhyNotValid(surrogate); !wrong.empty()) return wrong;
-  if (const std::string found = BeyondTerminalCost(request.scene); !found.empty()) {
+std::string UnsupportedSurrogate(const SolverEntry& entry, const SolveRequest& request, const Surrogate& surrogate) {
+  if (std::string wrong = Validate(surrogate); !wrong.empty()) return wrong;
+  if (const std::string found = NonTerminalFeatures(request.scene); !found.empty()) {
     return "the scene has " + found + "; surrogates are of a loss at the end";
   }
   if (!request.scene.design.empty()) {
@@ -102,18 +102,18 @@ std::string WhyNotSurrogate(const SolverEntry& entry, const SolveRequest& reques
            "; surrogates have no derivatives by parameters of the scene";
   }
   if (!entry.takes_surrogate) return "a surrogate is not the derivative of the loss, which this solver relies on";
-  return WhyNotApplicable(surrogate, request.contact, request.scene);
+  return ReasonNotApplicable(surrogate, request.contact, request.scene);
 }
 
-std::string WhyNotOwnTerms(const SolverEntry& entry, const SolveRequest& request) {
-  for (const OwnTerm& term : request.terms) {
-    if (std::string wrong = WhatIsWrongWith(term, request.scene); !wrong.empty()) return wrong;
+std::string UnsupportedUserTerms(const SolverEntry& entry, const SolveRequest& request) {
+  for (const UserTerm& term : request.terms) {
+    if (std::string wrong = Validate(term, request.scene); !wrong.empty()) return wrong;
   }
-  if (request.terms.empty() || entry.own_terms) return "";
+  if (request.terms.empty() || entry.user_terms) return "";
   return "it minimises the objective of the scene only; ceres_phases takes user-defined cost terms";
 }
 
-std::string WhyNotDesign(const SolverEntry& entry, const SolveRequest& request) {
+std::string UnsupportedDesign(const SolverEntry& entry, const SolveRequest& request) {
   const Scene& scene = request.scene;
   if (scene.design.empty() || entry.design) return "";
   const std::string found = "optimize: found " + NameOf(scene.design.front().parameter, scene);
@@ -135,7 +135,7 @@ std::string WhyNotDesign(const SolverEntry& entry, const SolveRequest& request) 
   return "";
 }
 
-std::string WhyNotAny(const SolveRequest& request) { return WhyNothingToOptimize(request.scene); }
+std::string UnsupportedByAllSolvers(const SolveRequest& request) { return ReasonNothingToOptimize(request.scene); }
 
 // Returns which term of the loss no small change of the control changes at a solution, though it did at the initial
 // guess, as where discs that touched pass by one another; empty if there is none.
@@ -178,7 +178,7 @@ std::string FindLossOfReach(const SolveRequest& request, const SolverOptions& op
 // The solver `auto`.
 SolveReport SolveAutomatically(const SolveRequest& request, const SolverOptions& options) {
   const Scene& scene = request.scene;
-  const std::string beyond = BeyondTerminalCost(scene);
+  const std::string beyond = NonTerminalFeatures(scene);
   using Names = std::vector<std::string_view>;
   Names order = {"ceres_lm", "ceres_phases", "ceres_lbfgs", "gd"};
   std::string why = "the loss is a sum of squares of a rollout";
@@ -209,14 +209,14 @@ SolveReport SolveAutomatically(const SolveRequest& request, const SolverOptions&
 // steps of Newton's method, which are more accurate than differences of losses, and then by the solver in phases, which
 // also holds the intervals where they are, as where the loss falls as an impact leaves the end of its interval. Design
 // parameters stay.
-void GoOnAsHybrid(const Scene& designed, const SolverOptions& options, SolveReport* report) {
+void RefineAsHybrid(const Scene& designed, const SolverOptions& options, SolveReport* report) {
   constexpr int kNewtonSteps = 3;
   const int left = options.limits.iterations - report->work.iterations;
   Scene scene = designed;
   scene.design.clear();
-  if (report->solution.durations.empty() || left <= 0 || !WhyNoHybridProblem(scene).empty()) return;
+  if (report->solution.durations.empty() || left <= 0 || !UnsupportedByHybridProblem(scene).empty()) return;
   if (options.monitor.stop && options.monitor.stop()) return;
-  HybridProblem problem = HybridProblemOf(scene);
+  HybridProblem problem = MakeHybridProblem(scene);
   const HybridInput& guess = problem.guess =
       InputOf(problem, report->solution.initial_state, report->solution.control, report->solution.durations);
   HybridShooting shooting(problem);
@@ -243,7 +243,7 @@ void GoOnAsHybrid(const Scene& designed, const SolverOptions& options, SolveRepo
   std::optional<HybridInput> input = guess;
   for (int step = 0; step < kNewtonSteps; ++step) {
     input = AfterNewtonStep(problem, *input, /*moving=*/true);
-    if (!input || !WhatIsWrongWith(*input, problem.system).empty()) break;
+    if (!input || !Validate(*input, problem.system).empty()) break;
     if (take(input->control, input->lengths)) return;
   }
   SolverOptions rest;
@@ -272,16 +272,16 @@ bool HasHybrid(std::string_view solver) {
 
 // Whether a solver solves a scene as a hybrid system, of which design parameters are parameters.
 bool SolvesAsHybrid(const SolverEntry& entry, const Scene& scene) {
-  if (!BeyondBallistic(scene).empty()) return HasHybrid(entry.name);
+  if (!NonBallisticForces(scene).empty()) return HasHybrid(entry.name);
   return entry.given_design && !scene.design.empty();
 }
 
 // Returns why a solver does not support a scene that is solved as a hybrid system, or whose flights are not those of
 // constant acceleration; empty if it does, and for other scenes.
-std::string WhyNotAsHybrid(const SolverEntry& entry, const SolveRequest& request, bool given_sequence) {
+std::string UnsupportedAsHybrid(const SolverEntry& entry, const SolveRequest& request, bool given_sequence) {
   const Scene& scene = request.scene;
   const bool as_hybrid = SolvesAsHybrid(entry, scene);
-  const std::string beyond = BeyondBallistic(scene);
+  const std::string beyond = NonBallisticForces(scene);
   const std::string has = "the scene has " + (beyond.empty() ? "free parameters" : beyond);
   if (beyond.empty() && !as_hybrid) return "";
   if (!scene.design.empty() && !beyond.empty()) {
@@ -295,7 +295,7 @@ std::string WhyNotAsHybrid(const SolverEntry& entry, const SolveRequest& request
       return has + " and waypoints, beside which sequences are not taken: leave the sequence out";
     }
     if (!IsExact(request)) return has + ", which this solver takes under the contact model event only: use ceres_lm";
-    const std::string part = WhyNoHybridProblem(scene);
+    const std::string part = UnsupportedByHybridProblem(scene);
     return part.empty() ? "" : has + " and " + part;
   }
   if (entry.name != "gd" && entry.name != "ceres_lbfgs" && entry.name != "ceres_lm") {
@@ -320,7 +320,7 @@ SolveReport SolveAsHybrid(std::string_view solver, const SolveRequest& request, 
     }
     options.sequences.given->push_back({.a = 0, .b = -1});
   }
-  HybridProblem problem = HybridProblemOf(scene);
+  HybridProblem problem = MakeHybridProblem(scene);
   if (given.guess) {
     problem.guess = InputOf(problem, problem.guess.initial, given.guess->control, LengthsOf(*given.guess, scene));
   }
@@ -381,11 +381,11 @@ SolveReport SolveDesign(const SolverEntry& entry, const SolveRequest& request, c
   SolveReport best = SolveAsHybrid(as_hybrid, request, solve_from(nullptr), parameters);
   add(best);
   std::vector<LocalOptimum> optima;
-  std::optional<Searched> searched;
+  std::optional<SearchStatistics> searched;
   for (int turn = 0; turn < kMostTurns && !ends(); ++turn) {
     SolveRequest given{WithDesign(request.scene, parameters), request.contact};
     given.scene.design.clear();
-    if (!entry.why_not(given).empty()) break;
+    if (!entry.reason_not_applicable(given).empty()) break;
     SolveReport found = entry.solve(given, solve_from(turn == 0 ? nullptr : &best));
     add(found);
     optima = found.optima;
@@ -436,7 +436,7 @@ void Confirm(const SolveRequest& request, const SolverOptions& options, const Ti
   if (report->termination != Termination::kConverged || !IsExact(request)) return;
   const Scene scene = WithDesign(request.scene, report->solution.parameters);
   const bool control = scene.optimize == Optimize::kControl && request.terms.empty() &&
-                       (scene.objective.effort != 0 || !BeyondTerminalCost(scene).empty());
+                       (scene.objective.effort != 0 || !NonTerminalFeatures(scene).empty());
   if (!control && scene.design.empty()) return;
   if (!report->certificate) {
     report->certificate = Certify(scene,
@@ -448,7 +448,7 @@ void Confirm(const SolveRequest& request, const SolverOptions& options, const Ti
   if (report->certificate->verdict == Certificate::Verdict::kNotStationary) {
     SolverOptions in_time = options;
     if (report->searched) in_time.monitor.stop = limit.stop();
-    GoOnAsHybrid(scene, in_time, report);
+    RefineAsHybrid(scene, in_time, report);
   }
   Certificate& certificate = *report->certificate;
   if (certificate.verdict == Certificate::Verdict::kNotApplicable && scene.design.empty()) {
@@ -536,7 +536,7 @@ SolverOptions OptionsFor(const Scene& scene, const SolverOptions& options) {
 }
 
 // The report of a solver.
-SolveReport InSiUnits(const Scene& scene, SolveReport report) {
+SolveReport ToSiUnits(const Scene& scene, SolveReport report) {
   const Units si;
   const UnitFactors to_si(scene.units, si);
   const auto convert_motion = [&](auto* motion) {
@@ -555,7 +555,7 @@ SolveReport InSiUnits(const Scene& scene, SolveReport report) {
   if (report.history.best) convert_motion(&*report.history.best);
   for (std::vector<double>& z : report.history.iterates) ConvertDecisions(scene, z);
   for (std::optional<Certificate>* certificate : {&report.certificate, &report.continuous}) {
-    if (*certificate) *certificate = InUnits(**certificate, scene.units, si);
+    if (*certificate) *certificate = ToUnits(**certificate, scene.units, si);
   }
   for (LocalOptimum& optimum : report.optima) optimum.times = Multiplied(std::move(optimum.times), to_si.time);
   return report;
@@ -563,7 +563,7 @@ SolveReport InSiUnits(const Scene& scene, SolveReport report) {
 
 }  // namespace
 
-std::string WhyNotValid(const SearchOptions& options) {
+std::string Validate(const SearchOptions& options) {
   if (!(options.work >= 0) || std::isinf(options.work)) return "search_work: expected a number >= 0";
   if (!(options.seconds >= 0) || std::isinf(options.seconds)) return "search_seconds: expected a number >= 0";
   if (options.memory == 0) return "search_memory: expected more than nothing";
@@ -575,16 +575,16 @@ const std::vector<SolverEntry>& AllSolvers() {
   static const std::vector<SolverEntry>& solvers = *new std::vector<SolverEntry>{
       {.name = "auto",
        .summary = "chooses from the structure of the scene, and goes on with another solver without an optimum",
-       .why_not = WhyNotAny,
+       .reason_not_applicable = UnsupportedByAllSolvers,
        .solve = SolveAutomatically,
        .takes_surrogate = true,
        .any_units = true,
        .constraints = true,
-       .own_terms = true,
+       .user_terms = true,
        .design = true},
       {.name = "gd",
        .summary = "gradient descent at a fixed rate",
-       .why_not = WhyNotGradientDescent,
+       .reason_not_applicable = UnsupportedByGradientDescent,
        .solve = SolveByGradientDescent,
        .takes_surrogate = true,
        .any_units = true,
@@ -592,62 +592,62 @@ const std::vector<SolverEntry>& AllSolvers() {
        .design = true},
       {.name = "ceres_lbfgs",
        .summary = "L-BFGS of Ceres on the adjoint gradient",
-       .why_not = WhyNotLbfgs,
+       .reason_not_applicable = UnsupportedByLbfgs,
        .solve = SolveByCeresLbfgs,
        .constraints = true,
        .design = true},
       {.name = "ceres_lm",
        .summary = "Levenberg-Marquardt of Ceres, single shooting",
-       .why_not = WhyNotLm,
+       .reason_not_applicable = UnsupportedByLm,
        .solve = SolveByCeresLm,
        .constraints = true,
        .design = true},
       {.name = "ceres_shooting",
        .summary = "Levenberg-Marquardt of Ceres, step shooting, every iterate a rollout",
-       .why_not = WhyNotLeastSquares,
+       .reason_not_applicable = UnsupportedByLeastSquares,
        .solve = SolveByCeresShooting},
       {.name = "ceres_lagrangian",
        .summary = "step shooting of Ceres, augmented Lagrangian; not for collisions",
-       .why_not = WhyNotLeastSquares,
+       .reason_not_applicable = UnsupportedByLeastSquares,
        .solve = SolveByCeresLagrangian},
       {.name = "grid_optimum",
        .summary = "best control on the time grid, two discs in closed form",
-       .why_not = WhyNotGridOptimum,
+       .reason_not_applicable = UnsupportedByGridOptimum,
        .solve = SolveByGridOptimum,
        .exact_only = true},
       {.name = "ceres_event",
        .summary = "Ceres on phases between the impacts of a given sequence",
-       .why_not = WhyNotEventPhases,
+       .reason_not_applicable = UnsupportedByEventPhases,
        .solve = SolveByCeresEvent,
        .exact_only = true,
        .given_design = true},
       {.name = "ceres_phases",
        .summary = "Ceres through impacts, a cost for every step: bounds, constraints, running costs, free time",
-       .why_not = WhyNotPhases,
+       .reason_not_applicable = UnsupportedByCeresPhases,
        .solve = SolveByPhasesFromStarts,
        .constraints = true,
-       .own_terms = true,
+       .user_terms = true,
        .given_design = true},
       {.name = "ipopt",
        .summary = "phases of ceres_phases by the interior-point method of IPOPT, with second derivatives",
-       .why_not = WhyNotInteriorPoint,
+       .reason_not_applicable = UnsupportedByInteriorPoint,
        .solve = SolveByInteriorPoint,
        .constraints = true,
-       .own_terms = true,
+       .user_terms = true,
        .given_design = true},
       {.name = "hmp",
        .summary = "hybrid minimum principle: costates through impacts, continuous time",
-       .why_not = WhyNotHmp,
+       .reason_not_applicable = UnsupportedByHmp,
        .solve = SolveByHmp,
        .exact_only = true,
        .constraints = true},
       {.name = "mode_search",
        .summary = "search over sequences of impacts, each solved by ceres_event or ceres_phases",
-       .why_not = WhyNotModeSearch,
+       .reason_not_applicable = UnsupportedByModeSearch,
        .solve = SolveByModeSearch,
        .exact_only = true,
        .constraints = true,
-       .own_terms = true,
+       .user_terms = true,
        .given_design = true},
   };
   return solvers;
@@ -657,7 +657,7 @@ const std::vector<SolverEntry>& SolversByName() {
   static const std::vector<SolverEntry>& solvers =
       *new std::vector<SolverEntry>{{.name = "global",
                                      .summary = "mode_search, and a rigorous lower bound over all controls",
-                                     .why_not = WhyNotGlobal,
+                                     .reason_not_applicable = UnsupportedByGlobalSearch,
                                      .solve = SolveByGlobal,
                                      .exact_only = true,
                                      .constraints = true}};
@@ -692,19 +692,19 @@ SolveReport Solve(std::string_view solver, const SolveRequest& given, const Solv
       return given_options.monitor.callback(iteration, loss + price);
     };
   }
-  std::string reason = entry == nullptr ? UnknownSolver(solver) : WhyNotApplicable(request.contact, request.scene);
-  if (reason.empty()) reason = WhatIsWrongWith(options, request.scene);
-  if (reason.empty()) reason = WhyNotOwnTerms(*entry, request);
-  if (reason.empty()) reason = WhyNotDesign(*entry, request);
-  if (reason.empty() && !entry->constraints) reason = WhyNotPlain(request.scene);
-  if (reason.empty()) reason = WhyNotAsHybrid(*entry, request, options.sequences.given.has_value());
+  std::string reason = entry == nullptr ? UnknownSolver(solver) : ReasonNotApplicable(request.contact, request.scene);
+  if (reason.empty()) reason = Validate(options, request.scene);
+  if (reason.empty()) reason = UnsupportedUserTerms(*entry, request);
+  if (reason.empty()) reason = UnsupportedDesign(*entry, request);
+  if (reason.empty() && !entry->constraints) reason = UnsupportedWithoutConstraints(request.scene);
+  if (reason.empty()) reason = UnsupportedAsHybrid(*entry, request, options.sequences.given.has_value());
   const bool as_hybrid = reason.empty() && SolvesAsHybrid(*entry, request.scene);
   SolveRequest converted = request;
   if (reason.empty()) {
-    converted.scene = entry->any_units ? NearOrigin(request.scene) : InNaturalUnits(request.scene);
-    if (!as_hybrid) reason = entry->why_not(converted);
+    converted.scene = entry->any_units ? NearOrigin(request.scene) : ToNaturalUnits(request.scene);
+    if (!as_hybrid) reason = entry->reason_not_applicable(converted);
   }
-  if (reason.empty() && options.surrogate) reason = WhyNotSurrogate(*entry, request, *options.surrogate);
+  if (reason.empty() && options.surrogate) reason = UnsupportedSurrogate(*entry, request, *options.surrogate);
 
   SolveReport report;
   if (reason.empty()) {
@@ -714,7 +714,7 @@ SolveReport Solve(std::string_view solver, const SolveRequest& given, const Solv
              : converted.scene.design.empty() ? SolveAsHybrid(solver, converted, own, {})
                                               : SolveDesign(*entry, converted, own);
     Confirm(converted, own, limit, &report);
-    report = InSiUnits(converted.scene, std::move(report));
+    report = ToSiUnits(converted.scene, std::move(report));
     ForEachLoss(&report, [&](double* loss) { *loss += price; });
     if (fixed && report.solution.durations.empty() && !report.solution.control.empty()) {
       const size_t intervals = report.solution.control.size() / request.scene.control_width();

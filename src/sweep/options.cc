@@ -103,7 +103,7 @@ auto* FindBodyNumber(const std::string& name, SceneOrConst& scene) {
   const auto index_in = [&](const std::vector<int>& bodies) {
     return std::ranges::find(bodies, static_cast<int>(body - scene.bodies.begin())) - bodies.begin();
   };
-  const auto pushed = index_in(scene.control.bodies), turned = index_in(scene.control.turned);
+  const auto pushed = index_in(scene.control.bodies), turned = index_in(scene.control.torque_bodies);
   const std::string field = name.substr(dot + 1);
   if (field == "mass") return &body->mass;
   if (field == "radius") return &body->radius;
@@ -113,7 +113,8 @@ auto* FindBodyNumber(const std::string& name, SceneOrConst& scene) {
     if (field == "velocity" + axis) return &body->velocity[j];
     if (field == "force" + axis && pushed < std::ssize(scene.control.bodies)) return &scene.control.initial[pushed][j];
   }
-  if (field == "torque" && turned < std::ssize(scene.control.turned)) return &scene.control.initial_torque[turned];
+  if (field == "torque" && turned < std::ssize(scene.control.torque_bodies))
+    return &scene.control.initial_torque[turned];
   return kNone;
 }
 
@@ -213,10 +214,10 @@ void SetSweepOption(const std::string& name, const SweepValue& value, Request* r
     *number = ToNumber(value);
   }
   if (request->options.limits.iterations < 0) throw InputError("iterations must not be negative");
-  if (const std::string why = WhyNotValid(request->options.sequences.limits); !why.empty()) throw InputError(why);
+  if (const std::string why = Validate(request->options.sequences.limits); !why.empty()) throw InputError(why);
   if (!(request->options.descent.learning_rate > 0)) throw InputError("learning_rate must be positive");
   if (!request->options.surrogate) return;
-  if (const std::string why = WhyNotValid(*request->options.surrogate); !why.empty()) {
+  if (const std::string why = Validate(*request->options.surrogate); !why.empty()) {
     throw InputError("surrogate_" + why);
   }
 }

@@ -173,8 +173,8 @@ Found GradientPoint(const Request& request, double seconds, const StopRequest& s
     document["reason"] = stopped ? TimeLimitReason(seconds) : gradient.reason;
     return found;
   }
-  std::string remark = WhyNotComparable(contact, scene);
-  if (const auto exact = remark.empty() ? ExactGradientOf(scene) : std::nullopt) {
+  std::string remark = ReasonNotComparable(contact, scene);
+  if (const auto exact = remark.empty() ? ComputeExactGradient(scene) : std::nullopt) {
     if (const std::string ties = TiesToString(exact->ambiguous); !ties.empty()) {
       remark = "ambiguous: " + ties;
     } else {
@@ -249,7 +249,7 @@ PointResult ComputePoint(const SweepStudy& study, int64_t point, double seconds,
   const StopRequest stop_or_late = [&] { return (seconds > 0 && Clock::now() >= deadline) || (stop && stop()); };
   try {
     if (KeptProgram() != nullptr) return ToRow(study, point, ProgramPoint(study, point, seconds));
-    const Request request = study.At(point);
+    const Request request = study.RequestAt(point);
     if (!study.solving()) return ToRow(study, point, GradientPoint(request, seconds, stop_or_late));
     return ToRow(study, point, SolvePoint(request, seconds, stop_or_late, alone && study.generates()));
   } catch (const InputError& error) {

@@ -26,7 +26,7 @@ std::string ReadValue(const std::string& option, const std::string& text, const 
   const std::string found = "found '" + text + "', expected ";
   if (kind == SweepOptionKind::kWord) {
     *value = text;
-    if (option == "contact") return WhatIsWrongWith(text);
+    if (option == "contact") return Validate(text);
     const std::vector<std::string> words = SweepWords(option);
     return std::ranges::find(words, text) != words.end() ? "" : found + "one of " + Joined(words);
   }
@@ -70,7 +70,7 @@ class SpecParser {
 
  private:
   // " after 'what stands before'", shortened.
-  std::string Before(size_t place) const {
+  std::string PrecedingText(size_t place) const {
     constexpr size_t kMost = 30;
     const size_t from = place > kMost ? place - kMost : 0;
     if (place == 0) return "";
@@ -79,7 +79,7 @@ class SpecParser {
 
   [[noreturn]] void FailWith(std::string_view part, const std::string& what) const {
     const size_t place = part.data() - text_.data();
-    throw InputError("--sweep, character " + std::to_string(place + 1) + Before(place) + ": " + what);
+    throw InputError("--sweep, character " + std::to_string(place + 1) + PrecedingText(place) + ": " + what);
   }
   [[noreturn]] void Fail(std::string_view found, const std::string& expected) const {
     FailWith(found, "found " + (found.empty() ? "nothing" : "'" + std::string(found) + "'") + ", expected " + expected);

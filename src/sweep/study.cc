@@ -159,7 +159,7 @@ std::optional<int64_t> SweepStudy::FindPoint(const std::vector<std::string>& cel
   return point;
 }
 
-Request SweepStudy::At(int64_t point) const {
+Request SweepStudy::RequestAt(int64_t point) const {
   Request request = request_;
   const SweepRow values = Values(point);
   for (const bool seeds : {true, false}) {

@@ -146,7 +146,7 @@ class SweepStudy {
 
   // Returns the task at a point: one contact model and, if solving, one solver. Throws InputError, with key and
   // expectation, if the values make no valid scene or are impossible for a solver.
-  Request At(int64_t point) const;
+  Request RequestAt(int64_t point) const;
 
   // Everything that the results depend on, as JSON text: equal for equal studies.
   std::string Description() const;

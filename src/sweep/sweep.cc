@@ -92,10 +92,10 @@ void WriteReport(const SweepStudy& study, const std::vector<StoredPoint>& points
   page.AddTable(SweepTable(study, first),
                 first.size() < points.size() ? "The first rows; `" + base + ".csv` has all."
                                              : "All rows, as in `" + base + ".csv`.");
-  if (study.generates() || KeptProgram() != nullptr) return OrOutputError(page.Write(ReportPath(study, base)));
+  if (study.generates() || KeptProgram() != nullptr) return ThrowIfFailed(page.Write(ReportPath(study, base)));
   page.AddHeading("Scene");
   page.AddPreformatted(WriteScene(request.scene));
-  OrOutputError(page.Write(ReportPath(study, base)));
+  ThrowIfFailed(page.Write(ReportPath(study, base)));
 }
 
 void WriteFiles(const SweepStudy& study, const std::vector<StoredPoint>& points, const Table& table,
@@ -104,7 +104,7 @@ void WriteFiles(const SweepStudy& study, const std::vector<StoredPoint>& points,
   if (directory.empty()) return;
   WriteTextFile(directory + "/" + base + ".csv", table.ToCsv());
   if (HasSolvedTable(study)) WriteTextFile(directory + "/" + base + ".solved.csv", SolvedTable(study, points).ToCsv());
-  OrOutputError(WriteNpz(directory + "/" + base + ".npz", SweepArrays(study, points)));
+  ThrowIfFailed(WriteNpz(directory + "/" + base + ".npz", SweepArrays(study, points)));
   WriteReport(study, points, base);
 }
 
@@ -165,10 +165,10 @@ int RunSweep(const SweepStudy& study) {
         threads,
         &progress,
         [sweep, points, alone = threads == 1](int i, const SayNote&) {
-          PointResult result = ComputePoint(sweep->study, points[i], FLAGS_point_seconds, AskedToStop, alone);
+          PointResult result = ComputePoint(sweep->study, points[i], FLAGS_point_seconds, IsStopRequested, alone);
           const std::lock_guard lock(sweep->mutex);
           // An interrupt may have cut it short.
-          if (!AskedToStop()) sweep->store.Add(points[i], std::move(result));
+          if (!IsStopRequested()) sweep->store.Add(points[i], std::move(result));
         });
     if (end.thrown) std::rethrow_exception(end.thrown);
   }

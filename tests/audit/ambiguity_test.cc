@@ -2,7 +2,7 @@
 #include <gmock/gmock.h>
 
 #include "saltus/audit/audit.h"
-#include "saltus/audit/given.h"
+#include "saltus/audit/external_gradient.h"
 #include "saltus/simulate/registry.h"
 #include "test_scenes.h"
 
@@ -15,17 +15,17 @@ using testing::UnorderedElementsAre;
 TEST(AmbiguousAudit, NoModelGetsAVerdict) {
   std::optional<LossSpread> first_spread;
   for (const Scene& scene : {StrikesTwo(), StrikesTwoSwapped()}) {
-    const std::optional<ModelGradient> exact = ExactGradientOf(scene);
+    const std::optional<ModelGradient> exact = ComputeExactGradient(scene);
     ASSERT_TRUE(exact && exact->spread);
     for (const ModelTraits& model : AllContactModels()) {
-      if (!WhyNotApplicable(model.name, scene).empty()) continue;
+      if (!ReasonNotApplicable(model.name, scene).empty()) continue;
       const ModelAudit audit = AuditModel(model.name, scene, Precision::kDouble, exact);
       EXPECT_EQ(audit.verdict, Verdict::kAmbiguous) << model.name;
       EXPECT_STREQ(VerdictToString(audit.verdict), "ambiguous");
       EXPECT_FALSE(audit.error || audit.refinement || audit.attribution) << model.name;
       ASSERT_EQ(audit.ambiguous.size(), 1u);
       EXPECT_THAT(audit.ambiguous[0].bodies, UnorderedElementsAre("striker", "left", "right"));
-      EXPECT_THAT(audit.Why(), HasSubstr(" decides; the loss is 0."));
+      EXPECT_THAT(audit.VerdictReason(), HasSubstr(" decides; the loss is 0."));
       ASSERT_TRUE(audit.spread);
       if (!first_spread) first_spread = audit.spread;
       EXPECT_NEAR(audit.spread->lowest, first_spread->lowest, 1e-12);
@@ -37,7 +37,7 @@ TEST(AmbiguousAudit, NoModelGetsAVerdict) {
 
 TEST(AmbiguousAudit, SurrogatesAndGivenGradientsNeither) {
   const Scene scene = StrikesTwo();
-  const std::optional<ModelGradient> exact = ExactGradientOf(scene);
+  const std::optional<ModelGradient> exact = ComputeExactGradient(scene);
   AuditOptions options;
   options.surrogate = Surrogate{.kind = SurrogateKind::kSmoothedFirst, .sigma = 0.01, .samples = 4};
   const ModelAudit audit = AuditModel("event", scene, Precision::kDouble, exact, options);
@@ -45,12 +45,12 @@ TEST(AmbiguousAudit, SurrogatesAndGivenGradientsNeither) {
   EXPECT_EQ(audit.verdict, Verdict::kAmbiguous);
   EXPECT_FALSE(audit.error);
 
-  GivenGradient given;
+  ExternalGradient given;
   given.position = {exact->gradient.initial[0], -1};
-  const std::vector<GivenEntry> entries = JudgeGiven(scene, given, *exact);
+  const std::vector<ExternalGradientEntry> entries = JudgeExternalGradient(scene, given, *exact);
   ASSERT_EQ(entries.size(), 2u);
   EXPECT_EQ(entries[0].verdict, Verdict::kAmbiguous);
-  EXPECT_EQ(WorstOf(entries), Verdict::kAmbiguous);
+  EXPECT_EQ(WorstVerdict(entries), Verdict::kAmbiguous);
 }
 
 TEST(AmbiguousAudit, StudiesOfRefinementSayWhy) {
@@ -65,7 +65,7 @@ TEST(AmbiguousAudit, ACradleHasAVerdict) {
   scene.bodies[1].position = {0, 0};
   scene.bodies[2].position = {0.2, 0};
   scene.control.initial = {{0, 0}};  // nothing presses afterwards
-  const std::optional<ModelGradient> exact = ExactGradientOf(scene);
+  const std::optional<ModelGradient> exact = ComputeExactGradient(scene);
   ASSERT_TRUE(exact);
   EXPECT_TRUE(exact->ambiguous.empty());
   EXPECT_FALSE(exact->spread);

@@ -29,7 +29,7 @@ struct Expected {
   const char* contact;
   int step;
   Block block;
-  const char* why;
+  const char* cause;
 };
 
 // The exact impact is in step 331 of 480. Models that move with the velocity before the step see it up to two later.
@@ -56,7 +56,7 @@ TEST(Attribution, NamesStepBlockAndCauseInTask3) {
     EXPECT_EQ(error.a, "striker");
     EXPECT_EQ(error.b, "target");
     EXPECT_EQ(error.block, expected.block) << expected.contact;
-    EXPECT_EQ(error.why, expected.why) << expected.contact;
+    EXPECT_EQ(error.cause, expected.cause) << expected.contact;
     EXPECT_TRUE(error.stays) << expected.contact;
     EXPECT_THAT(attribution.sequence, IsEmpty()) << expected.contact;
   }
@@ -67,7 +67,7 @@ TEST(Attribution, ASpringIsNotResolvedByItsSteps) {
   const Attribution attribution = AttributeError("compliant_warp", ProblemScene("two_balls"));
   const ContactError& error = FirstWrong(attribution);
   EXPECT_EQ(error.last_step - error.first_step + 1, 11);
-  EXPECT_THAT(error.why, HasSubstr("not resolved by its 11 steps"));
+  EXPECT_THAT(error.cause, HasSubstr("not resolved by its 11 steps"));
 }
 
 TEST(Attribution, CausesAreSeenOnCoarseGridsToo) {
@@ -75,15 +75,15 @@ TEST(Attribution, CausesAreSeenOnCoarseGridsToo) {
   scene.steps = 6;
   const ContactError direct = FirstWrong(AttributeError("direct_toi", scene));
   EXPECT_EQ(direct.first_step, 3);
-  EXPECT_EQ(direct.why, "acceleration at the impact ignored");
-  EXPECT_THAT(FirstWrong(AttributeError("compliant_warp", scene)).why, HasSubstr("not resolved by its single step"));
+  EXPECT_EQ(direct.cause, "acceleration at the impact ignored");
+  EXPECT_THAT(FirstWrong(AttributeError("compliant_warp", scene)).cause, HasSubstr("not resolved by its single step"));
 }
 
 TEST(Attribution, ASoftSpringStaysWrongHoweverSmallItsSteps) {
   Scene scene = ProblemScene("two_balls");
   scene.contact.stiffness = 300;
   scene.steps = 2400;
-  EXPECT_THAT(FirstWrong(AttributeError("compliant_warp", scene)).why, HasSubstr("soft"));
+  EXPECT_THAT(FirstWrong(AttributeError("compliant_warp", scene)).cause, HasSubstr("soft"));
 }
 
 TEST(Attribution, RightAndConsistentModelsHaveNoWrongStep) {
@@ -103,23 +103,23 @@ TEST(Attribution, TheAccelerationMattersWhereItHasANormalPart) {
   ASSERT_THAT(attribution.contacts, SizeIs(2));
   EXPECT_EQ(attribution.first_wrong, 0);
   EXPECT_EQ(attribution.contacts[0].b, "ground");
-  EXPECT_EQ(attribution.contacts[0].why, "acceleration at the impact ignored");
+  EXPECT_EQ(attribution.contacts[0].cause, "acceleration at the impact ignored");
   EXPECT_LT(attribution.contacts[1].error, 1e-12);
 }
 
 // Off the line of centres the normal turns with the time of impact.
 TEST(Attribution, ObliqueImpactsShowTheNormal) {
   const Attribution attribution = AttributeError("direct_toi", ProblemScene("multiple_collisions"));
-  EXPECT_EQ(FirstWrong(attribution).why, "acceleration at the impact ignored; normal taken at a fixed time");
+  EXPECT_EQ(FirstWrong(attribution).cause, "acceleration at the impact ignored; normal taken at a fixed time");
 }
 
 TEST(Attribution, SquaresAndConesOfFrictionAreSeen) {
   Scene scene = ProblemScene("ground_wall");
   scene.contact.friction = 0.1;
-  EXPECT_THAT(AttributeError("compliant_brax", scene).contacts[1].why,
+  EXPECT_THAT(AttributeError("compliant_brax", scene).contacts[1].cause,
               HasSubstr("restitution squared; friction squared"));
-  EXPECT_THAT(AttributeError("convex_toi", scene).contacts[0].why, HasSubstr("restitution multiplies friction"));
-  EXPECT_THAT(AttributeError("pbd_warp", scene).contacts[0].why, HasSubstr("overlap / step added to the velocity"));
+  EXPECT_THAT(AttributeError("convex_toi", scene).contacts[0].cause, HasSubstr("restitution multiplies friction"));
+  EXPECT_THAT(AttributeError("pbd_warp", scene).contacts[0].cause, HasSubstr("overlap / step added to the velocity"));
 }
 
 TEST(Attribution, AnotherSequenceOfContactsIsReported) {
@@ -138,9 +138,9 @@ TEST(Attribution, ALimitOfTimeIsSaid) {
   AuditOptions audit_options;
   audit_options.attribution_seconds = options.seconds;
   const Scene scene = ProblemScene("two_balls");
-  const ModelAudit audit = AuditModel("direct", scene, Precision::kDouble, ExactGradientOf(scene), audit_options);
+  const ModelAudit audit = AuditModel("direct", scene, Precision::kDouble, ComputeExactGradient(scene), audit_options);
   EXPECT_FALSE(audit.interrupted);
-  EXPECT_THAT(audit.Why(), HasSubstr("not traced to a contact in time"));
+  EXPECT_THAT(audit.VerdictReason(), HasSubstr("not traced to a contact in time"));
 }
 
 TEST(Attribution, SaysWhatItIsAt) {
@@ -149,7 +149,8 @@ TEST(Attribution, SaysWhatItIsAt) {
   options.status = [&](const std::string& what) { said.push_back(what); };
   const Attribution attribution = AttributeError("compliant_warp", ProblemScene("two_balls"), options);
   EXPECT_THAT(attribution.limit, IsEmpty());
-  EXPECT_EQ(FirstWrong(attribution).why, FirstWrong(AttributeError("compliant_warp", ProblemScene("two_balls"))).why);
+  EXPECT_EQ(FirstWrong(attribution).cause,
+            FirstWrong(AttributeError("compliant_warp", ProblemScene("two_balls"))).cause);
   ASSERT_EQ(said.size(), 2u);
   EXPECT_EQ(said[0], "contact 1 of 1 at 480 steps");
 }
@@ -177,7 +178,7 @@ void ExpectTheSameInACrowd(const Scene& pair, const std::vector<const char*>& co
     const ContactError &right = FirstWrong(expected), &own = FirstWrong(found);
     EXPECT_EQ(own.first_step, right.first_step) << contact;
     EXPECT_EQ(own.block, right.block) << contact;
-    EXPECT_EQ(own.why, right.why) << contact;
+    EXPECT_EQ(own.cause, right.cause) << contact;
     EXPECT_NEAR(own.error, right.error, 1e-9 * right.error) << contact;
   }
 }
@@ -219,7 +220,7 @@ TEST(Attribution, TracesErrorsOfDiscsThatSpin) {
     EXPECT_EQ(wrong.first_step, expected.step) << expected.contact;
     EXPECT_EQ(wrong.block, expected.block) << expected.contact;
     EXPECT_TRUE(wrong.stays) << expected.contact;
-    EXPECT_EQ(wrong.why, expected.why) << expected.contact;
+    EXPECT_EQ(wrong.cause, expected.cause) << expected.contact;
   }
 }
 

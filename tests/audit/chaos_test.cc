@@ -76,9 +76,9 @@ TEST(Chaos, TheRoundingIsThatOfTheExponent) {
 TEST(Chaos, NoDigitsAreLeftAfterTwentySeconds) {
   const Scene scene = Billiard(20, {0.1, 0.2}, {0.8, 0.6});
   const ModelAudit audit =
-      AuditModel("event", scene, Precision::kDouble, ExactGradientOf(scene), {.attribution = false});
+      AuditModel("event", scene, Precision::kDouble, ComputeExactGradient(scene), {.attribution = false});
   EXPECT_EQ(audit.verdict, Verdict::kIllConditioned);
-  EXPECT_THAT(audit.Why(), HasSubstr("16 of 16 digits are lost"));
+  EXPECT_THAT(audit.VerdictReason(), HasSubstr("16 of 16 digits are lost"));
 }
 
 // A model that is wrong remains so where rounding takes a few digits only.

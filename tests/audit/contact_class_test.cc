@@ -54,7 +54,7 @@ TEST(ContactClass, IsWhatTheFormulationSays) {
   for (const auto& [contact, expected] : classes) {
     ASSERT_NE(FindContactModel(contact), nullptr) << contact;
     for (const Scene& scene : Tasks()) {
-      if (!WhyNotApplicable(contact, scene).empty()) continue;
+      if (!ReasonNotApplicable(contact, scene).empty()) continue;
       const ContactRecognition found = RecogniseContact(contact, scene);
       EXPECT_STREQ(ContactClassToString(found.contact_class), ContactClassToString(expected))
           << contact << " in " << scene.name << ": " << found.words;

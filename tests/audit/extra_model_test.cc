@@ -14,7 +14,7 @@ using testing::HasSubstr;
 
 ModelAudit Audit(const std::string& problem) {
   const Scene scene = ProblemScene(problem);
-  return AuditModel("mirror", scene, Precision::kDouble, ExactGradientOf(scene), {.width_sweep = true});
+  return AuditModel("mirror", scene, Precision::kDouble, ComputeExactGradient(scene), {.width_sweep = true});
 }
 
 TEST(ExtraModel, IsTheLastInTheRegistry) {
@@ -26,7 +26,7 @@ TEST(ExtraModel, IsRightWhereNothingAccelerates) {
   const ModelAudit audit = Audit("bounce_once");
   EXPECT_EQ(audit.verdict, Verdict::kRight);
   EXPECT_EQ(audit.FirstWrong(), nullptr);
-  EXPECT_EQ(audit.Why(), "");
+  EXPECT_EQ(audit.VerdictReason(), "");
   EXPECT_EQ(audit.widths->verdict, Verdict::kUnknown);
 }
 
@@ -45,14 +45,14 @@ TEST(ExtraModel, IsWrongUnderForceForAKnownReason) {
   EXPECT_TRUE(IsWrong(audit.verdict));
   ASSERT_NE(audit.FirstWrong(), nullptr);
   EXPECT_EQ(audit.FirstWrong()->first_step, 331);
-  EXPECT_EQ(audit.Why(), "acceleration at the impact ignored");
+  EXPECT_EQ(audit.VerdictReason(), "acceleration at the impact ignored");
   EXPECT_TRUE(IsWrong(audit.widths->verdict));
 }
 
 // In the audit as everybody runs it, without a sweep of widths.
 TEST(ExtraModel, AModelThatForgetsToReportHasNoGradient) {
   const Scene scene = ProblemScene("two_balls");
-  const ModelAudit audit = AuditModel("silent", scene, Precision::kDouble, ExactGradientOf(scene));
+  const ModelAudit audit = AuditModel("silent", scene, Precision::kDouble, ComputeExactGradient(scene));
   EXPECT_THAT(audit.gradient.reason, HasSubstr("step 331 of silent"));
   EXPECT_THAT(audit.gradient.reason, HasSubstr("reports no contact"));
   EXPECT_FALSE(audit.error);
@@ -61,11 +61,11 @@ TEST(ExtraModel, AModelThatForgetsToReportHasNoGradient) {
 TEST(ExtraModel, DetachedDerivativesAreSaidSo) {
   for (const char* problem : {"bounce_once", "ground_wall", "two_balls"}) {
     const Scene scene = ProblemScene(problem);
-    const ModelAudit audit = AuditModel("detached", scene, Precision::kDouble, ExactGradientOf(scene));
+    const ModelAudit audit = AuditModel("detached", scene, Precision::kDouble, ComputeExactGradient(scene));
     EXPECT_TRUE(IsWrong(audit.verdict)) << problem;
     EXPECT_FALSE(audit.widths);
-    EXPECT_EQ(audit.own->agreement, Agreement::kDiffers) << problem;
-    EXPECT_THAT(audit.Why(), HasSubstr("agrees with no differences")) << problem;
+    EXPECT_EQ(audit.gradient_check->agreement, Agreement::kDiffers) << problem;
+    EXPECT_THAT(audit.VerdictReason(), HasSubstr("agrees with no differences")) << problem;
   }
 }
 
@@ -87,12 +87,12 @@ TEST(ExtraModel, OtherGradientsAgreeWithTheirDifferences) {
                               "smooth_compliant",
                               "xpbd"}) {
     for (const Scene& scene : off_grid) {
-      const OwnDifferences own = CompareWithOwnDifferences(contact, scene);
+      const GradientCheck own = CheckGradient(contact, scene);
       EXPECT_EQ(own.agreement, Agreement::kAgrees) << contact << " in " << scene.name << ": " << own.gradient << " for "
                                                    << own.difference << " by " << QuantityToString(own.quantity);
     }
     for (const char* problem : {"bounce_once", "ground_wall"}) {
-      EXPECT_NE(CompareWithOwnDifferences(contact, ProblemScene(problem)).agreement, Agreement::kDiffers) << contact;
+      EXPECT_NE(CheckGradient(contact, ProblemScene(problem)).agreement, Agreement::kDiffers) << contact;
     }
   }
 }
@@ -101,13 +101,13 @@ TEST(ExtraModel, WithoutAReferenceTheWidthsDecide) {
   const ModelAudit audit = AuditModel("mirror", ProblemScene("two_balls"), Precision::kDouble, std::nullopt);
   EXPECT_TRUE(IsWrong(audit.verdict));
   EXPECT_FALSE(audit.refinement);
-  EXPECT_NE(audit.Why(), "");
+  EXPECT_NE(audit.VerdictReason(), "");
 }
 
 TEST(ExtraModel, ASceneItCannotTakeIsSaidSo) {
   Scene scene = ProblemScene("ground_wall");
   scene.contact.friction = 0.1;
-  const ModelAudit audit = AuditModel("mirror", scene, Precision::kDouble, ExactGradientOf(scene));
+  const ModelAudit audit = AuditModel("mirror", scene, Precision::kDouble, ComputeExactGradient(scene));
   EXPECT_FALSE(audit.gradient.ok());
   EXPECT_EQ(audit.verdict, Verdict::kUnknown);
 }

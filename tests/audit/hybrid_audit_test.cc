@@ -82,7 +82,7 @@ TEST(HybridAudit, ExactStepsAreRight) {
   const HybridAudit audit = AuditScheme(BallProblem(), &scheme, Steps(40));
   ASSERT_TRUE(audit.ok()) << audit.reason;
   EXPECT_EQ(audit.verdict, Verdict::kRight);
-  EXPECT_EQ(audit.Why(), "");
+  EXPECT_EQ(audit.VerdictReason(), "");
   EXPECT_NEAR(audit.loss, audit.exact_loss, 1e-12);
   for (int k = 0; k < 4; ++k) EXPECT_NEAR(audit.gradient.control[k], audit.exact.control[k], 1e-11);
   for (int i = 0; i < 2; ++i) {
@@ -106,7 +106,7 @@ TEST(HybridAudit, ImpactsAtTheEndOfAStepAreWrong) {
   EXPECT_EQ(audit.segments[0].guard, "ground");
   EXPECT_TRUE(audit.segments[0].stays);
   EXPECT_LT(audit.order, 0.5);
-  EXPECT_THAT(audit.Why(), HasSubstr("first wrong step is 11"));
+  EXPECT_THAT(audit.VerdictReason(), HasSubstr("first wrong step is 11"));
   // Differences that are wider than a step give the exact derivative, whatever the scheme's own is.
   ASSERT_TRUE(audit.widths);
   const WidthSweep& by_height = audit.widths->sweeps[0];
@@ -195,7 +195,7 @@ HybridProblem BallThatTravels() {
 TEST(HybridAudit, CostsThatAreValuesOrReadTheStateAtTheStart) {
   HybridSchemeOf<LocatedBall> exact((LocatedBall()));
   const HybridAudit right = AuditScheme(BallThatTravels(), &exact, Steps(40));
-  EXPECT_EQ(right.verdict, Verdict::kRight) << right.Why();
+  EXPECT_EQ(right.verdict, Verdict::kRight) << right.VerdictReason();
   EXPECT_NEAR(right.loss, right.exact_loss, 1e-12);
   HybridSchemeOf<BouncingBall> late((BouncingBall()));
   const HybridAudit wrong = AuditScheme(BallThatTravels(), &late, Steps(40));
@@ -220,11 +220,11 @@ class WrongJacobians final : public HybridScheme {
 TEST(HybridAudit, AGradientThatContradictsItsOwnStepsIsSaidToDoSo) {
   WrongJacobians scheme;
   const HybridAudit audit = AuditScheme(BallProblem(), &scheme, Steps(40));
-  ASSERT_TRUE(audit.own);
-  EXPECT_EQ(audit.own->agreement, Agreement::kDiffers);
-  EXPECT_THAT(audit.Why(), HasSubstr("contradicts its own steps"));
+  ASSERT_TRUE(audit.gradient_check);
+  EXPECT_EQ(audit.gradient_check->agreement, Agreement::kDiffers);
+  EXPECT_THAT(audit.VerdictReason(), HasSubstr("contradicts its own steps"));
   HybridSchemeOf<BouncingBall> late((BouncingBall()));  // is wrong, but the derivative of its steps
-  EXPECT_EQ(AuditScheme(BallProblem(), &late, Steps(40)).own->agreement, Agreement::kAgrees);
+  EXPECT_EQ(AuditScheme(BallProblem(), &late, Steps(40)).gradient_check->agreement, Agreement::kAgrees);
 }
 
 // The logistic map, once a second: each event doubles a perturbation on average. Steps locate the events, and are
@@ -276,7 +276,7 @@ TEST(HybridAudit, ErrorsThatAreRoundingOfTheExactGradientAreIllConditioned) {
   EXPECT_EQ(audit.verdict, Verdict::kIllConditioned) << audit.reason;
   ASSERT_TRUE(audit.refinement && audit.refinement->conditioning);
   EXPECT_GT(audit.refinement->conditioning->condition, 1e9);
-  EXPECT_THAT(audit.Why(), HasSubstr("of 16 digits are lost"));
+  EXPECT_THAT(audit.VerdictReason(), HasSubstr("of 16 digits are lost"));
 }
 
 class BrokenScheme final : public HybridScheme {
@@ -308,7 +308,7 @@ TEST(HybridAudit, WhatCannotBeAuditedHasAReason) {
   EXPECT_THAT(reason_of(problem, BrokenScheme::How::kMode), HasSubstr("found mode 7"));
   EXPECT_THAT(reason_of(problem, BrokenScheme::How::kNan), HasSubstr("not finite in step 0"));
   problem.terms.push_back({.name = "of events",
-                           .at = HybridTerm::At::kEvent,
+                           .at = HybridTerm::Timing::kEvent,
                            .mode = 0,
                            .event = "ground",
                            .with_state = true,

@@ -27,7 +27,7 @@ class InterruptedAudit : public testing::Test {
   }
 
   Scene scene_ = ProblemScene("two_balls");
-  std::optional<ModelGradient> exact_ = ExactGradientOf(scene_);
+  std::optional<ModelGradient> exact_ = ComputeExactGradient(scene_);
   int64_t asked_ = 0;
 };
 
@@ -55,7 +55,7 @@ TEST_F(InterruptedAudit, KeepsTheStudiesThatAreWhole) {
       EXPECT_EQ(audit.gradient.reason, kStopped);
       continue;
     }
-    EXPECT_EQ(audit.Why(), "interrupted");
+    EXPECT_EQ(audit.VerdictReason(), "interrupted");
     EXPECT_EQ(audit.gradient.gradient.control, whole.gradient.gradient.control);
     EXPECT_EQ(audit.verdict, stage > 2 ? whole.verdict : Verdict::kUnknown);
     if (audit.recognition) {
@@ -68,7 +68,7 @@ TEST_F(InterruptedAudit, KeepsTheStudiesThatAreWhole) {
 }
 
 TEST_F(InterruptedAudit, ThereIsNoReferenceThen) {
-  EXPECT_FALSE(ExactGradientOf(scene_, [] { return true; }));
+  EXPECT_FALSE(ComputeExactGradient(scene_, [] { return true; }));
 }
 
 }  // namespace

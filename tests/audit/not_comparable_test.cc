@@ -13,23 +13,23 @@ using testing::HasSubstr;
 using testing::IsEmpty;
 
 ModelAudit Audit(const std::string& contact, const Scene& scene, const AuditOptions& options = {}) {
-  return AuditModel(contact, scene, Precision::kDouble, ExactGradientOf(scene), options);
+  return AuditModel(contact, scene, Precision::kDouble, ComputeExactGradient(scene), options);
 }
 
 TEST(NotComparable, ModelsThatSpinUnderFriction) {
   Scene scene = ProblemScene("ground_wall");
   for (const char* contact : {"pbd_brax", "compliant_brax"}) {
     scene.contact.friction = 0;
-    EXPECT_THAT(WhyNotComparable(contact, scene), IsEmpty());
+    EXPECT_THAT(ReasonNotComparable(contact, scene), IsEmpty());
     EXPECT_NE(Audit(contact, scene).verdict, Verdict::kNotApplicable) << contact;
     scene.contact.friction = 0.1;
     const ModelAudit audit = Audit(contact, scene);
     EXPECT_EQ(audit.verdict, Verdict::kNotApplicable) << contact;
-    EXPECT_THAT(audit.Why(), HasSubstr("do not spin")) << contact;
+    EXPECT_THAT(audit.VerdictReason(), HasSubstr("do not spin")) << contact;
     EXPECT_TRUE(audit.gradient.ok()) << contact;
     EXPECT_FALSE(audit.error || audit.refinement || audit.attribution) << contact;
   }
-  EXPECT_THAT(WhyNotComparable("compliant_warp", scene), IsEmpty());
+  EXPECT_THAT(ReasonNotComparable("compliant_warp", scene), IsEmpty());
 }
 
 // Discs that hit each other dozens of times.
@@ -53,8 +53,8 @@ TEST(IllConditioned, AChaoticGasExcusesTheExactModel) {
   ASSERT_GT(found->rounding, 1e-6);
   EXPECT_GT(found->condition, 1e8);
   const ModelAudit audit = Audit("event", scene, {.refinement = {.budget = 0}});
-  EXPECT_EQ(audit.verdict, Verdict::kIllConditioned) << audit.Why();
-  EXPECT_THAT(audit.Why(), HasSubstr("condition"));
+  EXPECT_EQ(audit.verdict, Verdict::kIllConditioned) << audit.VerdictReason();
+  EXPECT_THAT(audit.VerdictReason(), HasSubstr("condition"));
   ASSERT_TRUE(audit.refinement->conditioning);
   EXPECT_FALSE(audit.attribution);
 }

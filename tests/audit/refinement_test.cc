@@ -95,7 +95,7 @@ TEST(Refinement, NoneOfTheNinePublishedModelsIsRightInTask3) {
 
 // The published table's "analytic" row has -0.0009 where the loss as stated there has another sign.
 TEST(Refinement, ThePublishedAnalyticControlGradientIsWrongForTheStatedLoss) {
-  const std::optional<ModelGradient> exact = ExactGradientOf(ProblemScene("two_balls"));
+  const std::optional<ModelGradient> exact = ComputeExactGradient(ProblemScene("two_balls"));
   ASSERT_TRUE(exact);
   EXPECT_NEAR(exact->gradient.control[0], 0.00021380129632184102, 1e-15);
   const StatusOr<CsvDocument> published = ReadCsv(SourceFolder() + "/data/published.csv");
@@ -118,7 +118,7 @@ TEST(Refinement, ControlsAreComparedOverIntervals) {
   for (int steps : {8, 480, 488}) {
     Scene scene = ProblemScene("two_balls");
     scene.steps = steps;
-    entries.push_back(EntriesOf(scene, *ExactGradientOf(scene), Quantity::kControl, 8));
+    entries.push_back(EntriesOf(scene, *ComputeExactGradient(scene), Quantity::kControl, 8));
   }
   for (size_t i = 0; i < entries[0].size(); ++i) {
     EXPECT_NEAR(entries[1][i], entries[0][i], 1e-12);
@@ -160,7 +160,7 @@ TEST(Refinement, ModelsThatAreRightInSlidingContactAreNotCalledWrong) {
   scene.optimize = Optimize::kVelocity;
   scene.free = {0};
   const OneSided height{0, OneSided::Quantity::kPosition, 1, OneSided::Side::kAbove};
-  EXPECT_THAT(ExactGradientOf(scene)->one_sided, ElementsAre(height));
+  EXPECT_THAT(ComputeExactGradient(scene)->one_sided, ElementsAre(height));
   EXPECT_THAT(ComputeGradient("qcqp", scene, Precision::kDouble).one_sided, IsEmpty());
   for (const auto& [contact, verdict] : {std::pair{"event", Verdict::kRight},
                                          {"lcp_kkt", Verdict::kConsistent},
@@ -174,7 +174,7 @@ TEST(Refinement, ModelsThatAreRightInSlidingContactAreNotCalledWrong) {
     EXPECT_THAT(study.Find(Quantity::kVelocity)->one_sided, IsEmpty());
   }
   // The entry that is not judged does not enter the error either.
-  const ModelGradient exact = *ExactGradientOf(scene);
+  const ModelGradient exact = *ComputeExactGradient(scene);
   ModelGradient other = exact;
   other.gradient.initial[1] += 1;
   EXPECT_EQ(CompareGradients(other, exact).relative, 0);

@@ -30,7 +30,7 @@ ModelAudit Audit(const std::string& contact, const Scene& scene) {
   options.width_sweep = true;
   options.refinement.levels = 4;
   options.refinement.samples = 3;
-  return AuditModel(contact, scene, Precision::kDouble, ExactGradientOf(scene), options);
+  return AuditModel(contact, scene, Precision::kDouble, ComputeExactGradient(scene), options);
 }
 
 // Verdicts, classes and what is said; numbers to `tolerance`, 0 for the same bits.
@@ -38,7 +38,7 @@ void ExpectSame(const ModelAudit& own, const ModelAudit& rescaled, const Rescali
   EXPECT_EQ(rescaled.verdict, own.verdict);
   // Other than in natural units, durations are part of what is said.
   if (by.time == 1) {
-    EXPECT_EQ(rescaled.Why(), own.Why());
+    EXPECT_EQ(rescaled.VerdictReason(), own.VerdictReason());
   }
   ASSERT_EQ(rescaled.error.has_value(), own.error.has_value());
   if (own.error) {

@@ -65,7 +65,7 @@ TEST(WidthSweep, FindsNothingAgainstRightAndConsistentGradients) {
 // wrong.
 TEST(WidthSweep, DifferencesFartherFromTheExactValueAreNoEvidence) {
   const Scene scene = ProblemScene("two_balls");
-  const std::optional<ModelGradient> exact = ExactGradientOf(scene);
+  const std::optional<ModelGradient> exact = ComputeExactGradient(scene);
   ASSERT_TRUE(exact);
   const double value = exact->gradient.initial[0];
   for (const auto& [wide, finding] :

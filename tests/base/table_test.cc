@@ -17,8 +17,8 @@ using testing::Not;
 
 Table Sample() {
   Table table({{"contact"}, {"loss", 4}, {"steps"}, {"verdict"}});
-  table.AddRow({"direct_toi", 2.05851234, 480, Cell("match").With(Tone::kGood)});
-  table.AddRow({"lcp", -0.5, 48, Cell("a|b <c>, \"d\"").With(Tone::kBad)});
+  table.AddRow({"direct_toi", 2.05851234, 480, Cell("match").WithTone(Tone::kGood)});
+  table.AddRow({"lcp", -0.5, 48, Cell("a|b <c>, \"d\"").WithTone(Tone::kBad)});
   table.AddRow({"\xC3\xA9v\xC3\xA9nement", Cell(), 1, ""});
   return table;
 }
@@ -108,7 +108,7 @@ TEST(TableTest, ColumnsWithoutContentAreLeftOutOfText) {
 TEST(TableTest, TransposedNumbersKeepTheirDigitsAndTones) {
   Table table({{"contact"}, {"loss", 4}, {"angle, rad", 2}});
   table.AddRow({"exact (event)", 2.05851234, Cell()});
-  table.AddRow({"lcp", -0.5, Cell(0.123456).With(Tone::kBad)});
+  table.AddRow({"lcp", -0.5, Cell(0.123456).WithTone(Tone::kBad)});
   table.AddRow({"direct", Cell(), -1.0 / 3});
   const Table transposed = table.Transposed("entry", 2);
   EXPECT_EQ(transposed.ToText({.width = 28}),

@@ -24,7 +24,7 @@ TEST(Taped, HasTheValuesAndDerivativesOfJets) {
   const double at[6] = {1.3, -0.4, 0.7, 2.1, -0.9, 1.7};
   StepJet<double> jets[6];
   Taped taped[6];
-  Tape& tape = Tape::OfThread();
+  Tape& tape = Tape::ThreadTape();
   tape.Clear();
   for (int i = 0; i < 6; ++i) {
     jets[i] = StepJet<double>(at[i], i);
@@ -39,7 +39,7 @@ TEST(Taped, HasTheValuesAndDerivativesOfJets) {
 }
 
 TEST(Taped, AMapIsSweptOnce) {
-  Tape& tape = Tape::OfThread();
+  Tape& tape = Tape::ThreadTape();
   tape.Clear();
   const std::vector<Taped> in = {Taped::Variable(2), Taped(5.0), Taped::Variable(3)};
   // y = (2 a + b, c - a), between operations on both sides.

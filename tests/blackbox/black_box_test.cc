@@ -15,8 +15,8 @@
 #include <vector>
 
 #include "blackbox/protocol.h"
+#include "blackbox/protocol_server.h"
 #include "blackbox/session.h"
-#include "blackbox/speaker.h"
 #include "lines.h"
 #include "programs/run_program.h"
 #include "test_scenes.h"
@@ -27,10 +27,11 @@ namespace {
 using testing::HasSubstr;
 using Json = ProtocolJson;
 
-std::vector<Question> Questions(const Scene& scene, int count) {
-  std::vector<Question> questions;
+std::vector<BlackBoxRequest> Questions(const Scene& scene, int count) {
+  std::vector<BlackBoxRequest> questions;
   for (int i = 1; i <= count; ++i) {
-    questions.push_back({Question::Kind::kSimulate, i, 0.01 * i, InitialState(scene), InitialControl(scene, i), {}});
+    questions.push_back(
+        {BlackBoxRequest::Kind::kSimulate, i, 0.01 * i, InitialState(scene), InitialControl(scene, i), {}});
   }
   return questions;
 }
@@ -38,23 +39,24 @@ std::vector<Question> Questions(const Scene& scene, int count) {
 // A model of the library, asked line by line in this process.
 class Spoken final : public BlackBox {
  public:
-  Spoken(const std::string& contact, const Offer& offer) : name_(contact), offer_(offer) {}
+  Spoken(const std::string& contact, const ServerCapabilities& offer) : name_(contact), offer_(offer) {}
 
   const std::string& name() const override { return name_; }
   BlackBoxTraits Describe(const Scene& scene) override {
     if (scene_ != scene) {
-      speaker_ = std::make_unique<Speaker>(name_, Precision::kDouble, offer_);
-      traits_ = ReadHello(speaker_->AnswerTo(HelloLine(*(scene_ = scene))));
+      speaker_ = std::make_unique<ProtocolServer>(name_, Precision::kDouble, offer_);
+      traits_ = ReadHello(speaker_->ComputeAnswer(HelloLine(*(scene_ = scene))));
     }
     return traits_;
   }
-  std::vector<Answer> Ask(const Scene& scene, const std::vector<Question>& questions, const StopRequest&) override {
+  std::vector<BlackBoxAnswer> Evaluate(const Scene& scene, const std::vector<BlackBoxRequest>& questions,
+                                       const StopRequest&) override {
     Describe(scene);
-    std::vector<Answer> answers;
-    for (const Question& question : questions) {
+    std::vector<BlackBoxAnswer> answers;
+    for (const BlackBoxRequest& question : questions) {
       num_steps_ += question.steps;
       answers.push_back(
-          ReadAnswer(speaker_->AnswerTo(QuestionLine(scene, question, 1, traits_)), scene, question, 1, traits_));
+          ReadAnswer(speaker_->ComputeAnswer(QuestionLine(scene, question, 1, traits_)), scene, question, 1, traits_));
     }
     return answers;
   }
@@ -65,15 +67,15 @@ class Spoken final : public BlackBox {
   std::int64_t num_steps_ = 0;
   std::string name_;
   std::optional<Scene> scene_;
-  Offer offer_;
-  std::unique_ptr<Speaker> speaker_;
+  ServerCapabilities offer_;
+  std::unique_ptr<ProtocolServer> speaker_;
   BlackBoxTraits traits_;
 };
 
-ModelAudit AuditFromOutside(const std::string& contact, const Scene& scene, const Offer& offer) {
+ModelAudit AuditFromOutside(const std::string& contact, const Scene& scene, const ServerCapabilities& offer) {
   AuditOptions options;
   options.attribution = false;
-  return AuditBlackBox(std::make_shared<Spoken>(contact, offer), scene, ExactGradientOf(scene), options);
+  return AuditBlackBox(std::make_shared<Spoken>(contact, offer), scene, ComputeExactGradient(scene), options);
 }
 
 // One model of each class, and those whose linearization is not that of their steps or whose steps are long.
@@ -85,7 +87,7 @@ TEST(BlackBox, ModelsHaveTheSameVerdictAndClassFromOutside) {
     options.attribution = false;
     for (const std::string contact :
          {"lcp", "direct", "toi_velocity", "pbd_brax", "lcp_pgs", "compliant_warp", "event"}) {
-      const ModelAudit inside = AuditModel(contact, scene, Precision::kDouble, ExactGradientOf(scene), options);
+      const ModelAudit inside = AuditModel(contact, scene, Precision::kDouble, ComputeExactGradient(scene), options);
       const ModelAudit outside = AuditFromOutside(contact, scene, {.states = false});
       ASSERT_TRUE(outside.gradient.ok()) << contact << ": " << outside.gradient.reason;
       EXPECT_EQ(VerdictToString(outside.verdict), std::string(VerdictToString(inside.verdict)))
@@ -102,14 +104,15 @@ class Unforced final : public BlackBox {
  public:
   const std::string& name() const override { return direct_.name(); }
   BlackBoxTraits Describe(const Scene& scene) override { return direct_.Describe(scene); }
-  std::vector<Answer> Ask(const Scene& scene, const std::vector<Question>& asked, const StopRequest& stop) override {
-    std::vector<Question> questions = asked;
-    for (Question& question : questions) std::fill(question.control.begin(), question.control.end(), 0.0);
-    return direct_.Ask(scene, questions, stop);
+  std::vector<BlackBoxAnswer> Evaluate(const Scene& scene, const std::vector<BlackBoxRequest>& asked,
+                                       const StopRequest& stop) override {
+    std::vector<BlackBoxRequest> questions = asked;
+    for (BlackBoxRequest& question : questions) std::fill(question.control.begin(), question.control.end(), 0.0);
+    return direct_.Evaluate(scene, questions, stop);
   }
 
  private:
-  Spoken direct_{"direct", Offer{false, false, false}};
+  Spoken direct_{"direct", ServerCapabilities{false, false, false}};
 };
 
 TEST(BlackBox, AForceWithoutEffectInTheHeadOnImpactIsRemarked) {
@@ -118,10 +121,10 @@ TEST(BlackBox, AForceWithoutEffectInTheHeadOnImpactIsRemarked) {
   const auto remarks = [&](std::shared_ptr<BlackBox> box) {
     AuditOptions options;
     options.attribution = false;
-    return AuditBlackBox(std::move(box), scene, ExactGradientOf(scene), options).black_box->remarks;
+    return AuditBlackBox(std::move(box), scene, ComputeExactGradient(scene), options).black_box->remarks;
   };
   EXPECT_THAT(remarks(std::make_shared<Unforced>()), testing::Contains(HasSubstr("force on the first disc")));
-  EXPECT_THAT(remarks(std::make_shared<Spoken>("direct", Offer{false, false, false})),
+  EXPECT_THAT(remarks(std::make_shared<Spoken>("direct", ServerCapabilities{false, false, false})),
               testing::Not(testing::Contains(HasSubstr("force on the first disc"))));
 }
 
@@ -137,16 +140,16 @@ TEST(BlackBox, FinalStatesTellAnImpulseAtAStepBoundary) {
   EXPECT_EQ(found.precision_found, 53);
   EXPECT_EQ(found.motion, BlackBoxFindings::Motion::kConverges);
   EXPECT_NEAR(found.head_on->e, 1, 1e-9);
-  EXPECT_NEAR(found.head_on->keep, 1, 1e-6);
-  EXPECT_NEAR(found.head_on->feed, 0, 1e-6);
+  EXPECT_NEAR(found.head_on->retention, 1, 1e-6);
+  EXPECT_NEAR(found.head_on->velocity_feedback, 0, 1e-6);
   EXPECT_TRUE(IsWrong(audit.verdict));
 }
 
 // One that takes 1 ms for the 480 steps of the scene is audited within 20 s, on one core.
 TEST(BlackBox, AVerdictTakesAFewThousandRollouts) {
   const Scene scene = ProblemScene("two_balls");
-  const auto box = std::make_shared<Spoken>("direct", Offer{false, false, false});
-  EXPECT_TRUE(IsWrong(AuditBlackBox(box, scene, ExactGradientOf(scene), {}).verdict));
+  const auto box = std::make_shared<Spoken>("direct", ServerCapabilities{false, false, false});
+  EXPECT_TRUE(IsWrong(AuditBlackBox(box, scene, ComputeExactGradient(scene), {}).verdict));
   EXPECT_LT(box->num_steps(), 20'000 * 480);
 }
 
@@ -157,9 +160,10 @@ class Leaking final : public BlackBox {
 
   const std::string& name() const override { return honest_.name(); }
   BlackBoxTraits Describe(const Scene& scene) override { return honest_.Describe(scene); }
-  std::vector<Answer> Ask(const Scene& scene, const std::vector<Question>& questions, const StopRequest&) override {
-    std::vector<Answer> answers = honest_.Ask(scene, questions, nullptr);
-    for (Answer& answer : answers) {
+  std::vector<BlackBoxAnswer> Evaluate(const Scene& scene, const std::vector<BlackBoxRequest>& questions,
+                                       const StopRequest&) override {
+    std::vector<BlackBoxAnswer> answers = honest_.Evaluate(scene, questions, nullptr);
+    for (BlackBoxAnswer& answer : answers) {
       const std::vector<double> own = answer.final;
       kept_.resize(own.size());
       for (std::size_t i = 0; i < own.size(); ++i) answer.final[i] += leak_ * kept_[i];
@@ -186,28 +190,29 @@ double DifferenceIn(const ModelAudit& audit) {
 TEST(BlackBox, StateThatLeaksFromCallToCallIsSaidAndGetsNoVerdict) {
   const Scene scene = ProblemScene("two_balls");
   for (const double leak : {1e-3, 1e-7, 1e-9}) {
-    const ModelAudit audit = AuditBlackBox(std::make_shared<Leaking>(leak), scene, ExactGradientOf(scene), {});
+    const ModelAudit audit = AuditBlackBox(std::make_shared<Leaking>(leak), scene, ComputeExactGradient(scene), {});
     EXPECT_EQ(audit.verdict, Verdict::kUnknown) << leak;
-    EXPECT_THAT(audit.Why(), HasSubstr("answers to the same question, with others asked in between, differ by"));
+    EXPECT_THAT(audit.VerdictReason(),
+                HasSubstr("answers to the same question, with others asked in between, differ by"));
     EXPECT_GT(DifferenceIn(audit), 0.03 * leak);
     EXPECT_LT(DifferenceIn(audit), 10 * leak);
     EXPECT_EQ(audit.black_box->precision_found, 0);
   }
   // Rounding that depends on the past is said, and decides nothing.
-  const ModelAudit rounding = AuditBlackBox(std::make_shared<Leaking>(1e-15), scene, ExactGradientOf(scene), {});
+  const ModelAudit rounding = AuditBlackBox(std::make_shared<Leaking>(1e-15), scene, ComputeExactGradient(scene), {});
   EXPECT_EQ(rounding.verdict, Verdict::kRight);
   EXPECT_GT(DifferenceIn(rounding), 0);
   EXPECT_LT(DifferenceIn(rounding), 1e-14);
-  const ModelAudit none = AuditBlackBox(std::make_shared<Leaking>(0), scene, ExactGradientOf(scene), {});
+  const ModelAudit none = AuditBlackBox(std::make_shared<Leaking>(0), scene, ComputeExactGradient(scene), {});
   EXPECT_THAT(none.black_box->remarks, testing::IsEmpty());
 }
 
 // With a clock that counts steps, 1 ms each.
 TEST(BlackBox, AnAuditIsPlannedWithinTheTimeAllowed) {
   const Scene scene = ProblemScene("two_balls");
-  const auto exact = ExactGradientOf(scene);
+  const auto exact = ComputeExactGradient(scene);
   const auto audit_within = [&](double seconds, double* taken, std::vector<std::string>* said) {
-    const auto box = std::make_shared<Spoken>("direct", Offer{false, false, false});
+    const auto box = std::make_shared<Spoken>("direct", ServerCapabilities{false, false, false});
     AuditOptions options;
     const AuditTime time{seconds, [&] { return 1e-3 * static_cast<double>(box->num_steps()); }};
     options.status = [&](const std::string& what) { said->push_back(what); };
@@ -232,7 +237,7 @@ TEST(BlackBox, AnAuditIsPlannedWithinTheTimeAllowed) {
   }
   const ModelAudit none = audit_within(100, &taken, &said);
   EXPECT_EQ(none.verdict, Verdict::kUnknown);
-  EXPECT_THAT(none.Why(), HasSubstr("more than is left of the 1e+02 s allowed"));
+  EXPECT_THAT(none.VerdictReason(), HasSubstr("more than is left of the 1e+02 s allowed"));
   EXPECT_LT(taken, 100);
 }
 
@@ -242,7 +247,7 @@ TEST(BlackBox, FinalStatesTellAResolvedImpact) {
   EXPECT_EQ(audit.verdict, Verdict::kRight);
   EXPECT_EQ(audit.recognition->contact_class, ContactClass::kImpactTimeResolved);
   EXPECT_EQ(audit.black_box->motion, BlackBoxFindings::Motion::kExact);
-  EXPECT_NEAR(audit.black_box->head_on->keep, -1, 1e-6);
+  EXPECT_NEAR(audit.black_box->head_on->retention, -1, 1e-6);
   EXPECT_LT(audit.error->relative, 1e-6);
 }
 
@@ -304,7 +309,7 @@ TEST(BlackBox, FaultsAreSaidWithCommandRequestAndWhatCameBack) {
   const Scene scene = ProblemScene("two_balls");
   for (const auto& [fault, why] : cases) {
     CommandBox box({"faulty", "exec python3 " + script + " " + fault, 1, 60});
-    const std::vector<Answer> answers = box.Ask(scene, Questions(scene, 8), nullptr);
+    const std::vector<BlackBoxAnswer> answers = box.Evaluate(scene, Questions(scene, 8), nullptr);
     EXPECT_TRUE(answers[1].error.empty()) << answers[1].error;
     EXPECT_NEAR(answers[1].final[0], -2, 1e-12);
     EXPECT_THAT(answers[2].error, HasSubstr(why)) << fault;
@@ -318,7 +323,8 @@ TEST(BlackBox, FaultsAreSaidWithCommandRequestAndWhatCameBack) {
 TEST(BlackBox, AnAnswerThatNobodyAskedForIsAFault) {
   const Scene scene = ProblemScene("two_balls");
   CommandBox box({"faulty", "exec python3 " + TempFileWith("twice.py", kFaulty) + " twice", 1, 60});
-  EXPECT_THAT(box.Ask(scene, Questions(scene, 8), nullptr)[3].error, HasSubstr("found id '3', expected \"id\": 4"));
+  EXPECT_THAT(box.Evaluate(scene, Questions(scene, 8), nullptr)[3].error,
+              HasSubstr("found id '3', expected \"id\": 4"));
 }
 
 TEST(BlackBox, SilenceIsAnErrorAfterTheTimeAllowed) {
@@ -332,7 +338,7 @@ TEST(BlackBox, SilenceIsAnErrorAfterTheTimeAllowed) {
   std::vector<std::future<std::string>> errors;  // of all at once, as each takes the time allowed
   for (const auto& silent : cases) {
     errors.push_back(std::async(std::launch::async, [&scene, &silent] {
-      return CommandBox({"silent", silent.command, 1, 2}).Ask(scene, Questions(scene, 1), nullptr)[0].error;
+      return CommandBox({"silent", silent.command, 1, 2}).Evaluate(scene, Questions(scene, 1), nullptr)[0].error;
     }));
   }
   for (std::size_t i = 0; i < errors.size(); ++i)
@@ -444,11 +450,11 @@ TEST(BlackBox, WhatAnOverlapFeedsIntoVelocitiesIsMeasured) {
   scene.steps = 60;
   AuditOptions options;
   options.attribution = false;
-  const ModelAudit audit = AuditBlackBox(box, scene, ExactGradientOf(scene), options);
+  const ModelAudit audit = AuditBlackBox(box, scene, ComputeExactGradient(scene), options);
   ASSERT_TRUE(audit.black_box && audit.black_box->head_on);
   EXPECT_NEAR(audit.black_box->head_on->e, 1.1, 1e-6);
-  EXPECT_NEAR(audit.black_box->head_on->keep, 1.1, 1e-6);
-  EXPECT_NEAR(audit.black_box->head_on->feed, -0.2, 1e-6);
+  EXPECT_NEAR(audit.black_box->head_on->retention, 1.1, 1e-6);
+  EXPECT_NEAR(audit.black_box->head_on->velocity_feedback, -0.2, 1e-6);
 }
 
 TEST(BlackBox, AGradientThatAgreesWithDifferencesAndIsWrongIsSaidLoudly) {

@@ -10,16 +10,16 @@ namespace saltus {
 
 inline std::string HelloLine(const Scene& scene) { return HelloOf(scene).dump(); }
 
-inline std::string QuestionLine(const Scene& scene, const Question& question, std::int64_t id,
+inline std::string QuestionLine(const Scene& scene, const BlackBoxRequest& question, std::int64_t id,
                                 const BlackBoxTraits& traits = {}) {
   ProtocolJson line = {{"id", id}};
-  line.update(QuestionToJson(scene, question, traits));
+  line.update(RequestToJson(scene, question, traits));
   return line.dump();
 }
 
-inline Answer ReadAnswer(const std::string& line, const Scene& scene, const Question& question, std::int64_t id,
-                         const BlackBoxTraits& traits) {
-  return AnswerFrom(ReadReply(line, id), scene, question, traits);
+inline BlackBoxAnswer ReadAnswer(const std::string& line, const Scene& scene, const BlackBoxRequest& question,
+                                 std::int64_t id, const BlackBoxTraits& traits) {
+  return ParseAnswer(ReadReply(line, id), scene, question, traits);
 }
 
 }  // namespace saltus

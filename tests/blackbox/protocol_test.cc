@@ -76,10 +76,10 @@ std::string Speaking(const std::string& abilities) {
 }
 
 // Forces differ from step to step, so that each must be that of its own step.
-Question MotionOf(const Scene& scene, Question::Kind kind) {
-  const int steps = kind == Question::Kind::kStep ? 1 : scene.steps;
-  Question question{kind, steps, steps * scene.dt(), InitialState(scene), {}, {}};
-  const int forces = kind == Question::Kind::kStep ? 2 * scene.num_bodies() : scene.control_width() * steps;
+BlackBoxRequest MotionOf(const Scene& scene, BlackBoxRequest::Kind kind) {
+  const int steps = kind == BlackBoxRequest::Kind::kStep ? 1 : scene.steps;
+  BlackBoxRequest question{kind, steps, steps * scene.dt(), InitialState(scene), {}, {}};
+  const int forces = kind == BlackBoxRequest::Kind::kStep ? 2 * scene.num_bodies() : scene.control_width() * steps;
   for (int i = 0; i < forces; ++i) question.control.push_back(0.3 + 0.1 * i);
   return question;
 }
@@ -87,17 +87,17 @@ Question MotionOf(const Scene& scene, Question::Kind kind) {
 TEST(Protocol, StepsByNameMakeUpTheMotionsThatRowsGive) {
   Scene scene = ProblemScene("two_balls");
   scene.steps = 40;
-  Question states = MotionOf(scene, Question::Kind::kSimulate);
+  BlackBoxRequest states = MotionOf(scene, BlackBoxRequest::Kind::kSimulate);
   states.states = true;
-  const std::vector<Question> questions = {
-      MotionOf(scene, Question::Kind::kSimulate), states, MotionOf(scene, Question::Kind::kStep)};
+  const std::vector<BlackBoxRequest> questions = {
+      MotionOf(scene, BlackBoxRequest::Kind::kSimulate), states, MotionOf(scene, BlackBoxRequest::Kind::kStep)};
   CommandBox rows({"rows", Speaking(R"(["step", "states"])"), 1, 60});
-  const std::vector<Answer> expected = rows.Ask(scene, questions, nullptr);
+  const std::vector<BlackBoxAnswer> expected = rows.Evaluate(scene, questions, nullptr);
   ASSERT_EQ(expected[0].error, "");
   EXPECT_NE(expected[0].final, questions[0].initial);
   for (const std::string abilities : {R"(["names", "states"])", R"(["names", "states", "simulate"])"}) {
     CommandBox names({"names", Speaking(abilities), 1, 60});
-    const std::vector<Answer> found = names.Ask(scene, questions, nullptr);
+    const std::vector<BlackBoxAnswer> found = names.Evaluate(scene, questions, nullptr);
     for (std::size_t i = 0; i < questions.size(); ++i) {
       ASSERT_EQ(found[i].error, "");
       EXPECT_EQ(found[i].final, expected[i].final) << i;
@@ -114,7 +114,8 @@ TEST(Protocol, StepsByNameAreAudited) {
   std::vector<ModelAudit> audits;
   for (const std::string abilities : {R"(["step"])", R"(["names"])"}) {
     const auto box = std::make_shared<CommandBox>(CommandOptions{"mine", Speaking(abilities), 2, 60});
-    audits.push_back(AuditBlackBox(box, scene, ExactGradientOf(scene), {.refinement = {.levels = 4, .samples = 3}}));
+    audits.push_back(
+        AuditBlackBox(box, scene, ComputeExactGradient(scene), {.refinement = {.levels = 4, .samples = 3}}));
     ASSERT_TRUE(audits.back().gradient.ok()) << audits.back().gradient.reason;
   }
   EXPECT_TRUE(IsWrong(audits[0].verdict));

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "blackbox/protocol.h"
-#include "blackbox/speaker.h"
+#include "blackbox/protocol_server.h"
 #include "lines.h"
 #include "programs/run_program.h"
 #include "test_scenes.h"
@@ -18,9 +18,10 @@ namespace {
 using testing::HasSubstr;
 using Json = ProtocolJson;
 
-Question AtTheGuess(const Scene& scene, Question::Kind kind) {
-  Question question{kind, scene.steps, scene.duration, InitialState(scene), InitialControl(scene, scene.steps), {}};
-  if (kind == Question::Kind::kGradient) question.of_final.assign(question.initial.size(), 0.0);
+BlackBoxRequest AtTheGuess(const Scene& scene, BlackBoxRequest::Kind kind) {
+  BlackBoxRequest question{
+      kind, scene.steps, scene.duration, InitialState(scene), InitialControl(scene, scene.steps), {}};
+  if (kind == BlackBoxRequest::Kind::kGradient) question.final_cotangent.assign(question.initial.size(), 0.0);
   return question;
 }
 
@@ -39,10 +40,10 @@ std::vector<Json> AnswersOf(const std::string& program, const std::vector<std::s
 // Loss and gradient of the task of two balls, from published exact values: 2.0591, and to four digits.
 TEST(Simulate, GivesTheExactLossAndGradientOfTwoBalls) {
   const Scene scene = ProblemScene("two_balls");
-  Question gradient = AtTheGuess(scene, Question::Kind::kGradient);
+  BlackBoxRequest gradient = AtTheGuess(scene, BlackBoxRequest::Kind::kGradient);
   const std::vector<Json> first =
       AnswersOf("saltus_simulate --contact=event",
-                {HelloLine(scene), QuestionLine(scene, AtTheGuess(scene, Question::Kind::kSimulate), 1)});
+                {HelloLine(scene), QuestionLine(scene, AtTheGuess(scene, BlackBoxRequest::Kind::kSimulate), 1)});
   ASSERT_EQ(first.size(), 2u);
   EXPECT_EQ(first[0]["can"], Json::parse(R"(["gradient", "step", "states"])"));
   const Json& final = first[1]["final"];
@@ -51,8 +52,8 @@ TEST(Simulate, GivesTheExactLossAndGradientOfTwoBalls) {
   EXPECT_EQ(first[1]["states"].size(), 481u);
   EXPECT_EQ(first[1]["states"].back(), final);
 
-  gradient.of_final[4] = 2 * x;
-  gradient.of_final[5] = 2 * y;
+  gradient.final_cotangent[4] = 2 * x;
+  gradient.final_cotangent[5] = 2 * y;
   const std::vector<Json> second =
       AnswersOf("saltus_simulate --contact=event", {HelloLine(scene), QuestionLine(scene, gradient, 2)});
   ASSERT_EQ(second.size(), 2u);
@@ -67,7 +68,7 @@ TEST(Simulate, GivesTheExactLossAndGradientOfTwoBalls) {
 // Free flight and one impact on the ground, in closed form: task 1 ends at the height 1.1 - 2 t below the top.
 TEST(Simulate, StepsOneStep) {
   const Scene scene = ProblemScene("bounce_once");
-  Question step{Question::Kind::kStep, 1, 0.5, InitialState(scene), {0, 0}, {}};
+  BlackBoxRequest step{BlackBoxRequest::Kind::kStep, 1, 0.5, InitialState(scene), {0, 0}, {}};
   const std::vector<Json> answers =
       AnswersOf("saltus_simulate --contact=event", {HelloLine(scene), QuestionLine(scene, step, 1)});
   ASSERT_EQ(answers.size(), 2u);
@@ -80,24 +81,24 @@ TEST(Simulate, StepsOneStep) {
 // The models of Brax take two steps of the grid at a time, under the mean of their forces.
 TEST(Simulate, ForcesOfAModelWithLongStepsAreTheirMean) {
   Scene scene = ProblemScene("two_balls");
-  Speaker speaker("compliant_brax", Precision::kDouble, {});
-  EXPECT_EQ(Json::parse(speaker.AnswerTo(HelloLine(scene)))["grid_steps"], 2);
-  Question question = AtTheGuess(scene, Question::Kind::kGradient);
+  ProtocolServer speaker("compliant_brax", Precision::kDouble, {});
+  EXPECT_EQ(Json::parse(speaker.ComputeAnswer(HelloLine(scene)))["grid_steps"], 2);
+  BlackBoxRequest question = AtTheGuess(scene, BlackBoxRequest::Kind::kGradient);
   question.steps = 4;
   question.duration = 4.0 / 480;
   question.control = {1, 0, 3, 0, 2, 0, 2, 0};
-  question.of_final[2] = 1;  // velocity along x
-  const Json answer = Json::parse(speaker.AnswerTo(QuestionLine(scene, question, 1)));
+  question.final_cotangent[2] = 1;  // velocity along x
+  const Json answer = Json::parse(speaker.ComputeAnswer(QuestionLine(scene, question, 1)));
   EXPECT_NEAR(answer["final"][0][2].get<double>(), 8.0 / 480, 1e-15);
   for (int k = 0; k < 4; ++k) EXPECT_NEAR(answer["control"][k][0][0].get<double>(), 1.0 / 480, 1e-12) << k;
   question.steps = 3;
   question.control.resize(6);
-  EXPECT_THAT(speaker.AnswerTo(QuestionLine(scene, question, 2)), HasSubstr("divisible by 2"));
+  EXPECT_THAT(speaker.ComputeAnswer(QuestionLine(scene, question, 2)), HasSubstr("divisible by 2"));
 }
 
 TEST(Simulate, OneRowOfControlStandsForAll) {
   const Scene scene = ProblemScene("two_balls");
-  Question question = AtTheGuess(scene, Question::Kind::kSimulate);
+  BlackBoxRequest question = AtTheGuess(scene, BlackBoxRequest::Kind::kSimulate);
   const std::string constant = QuestionLine(scene, question, 1);
   EXPECT_LT(constant.size(), 200u);
   question.control[100] = std::nextafter(3.0, 4.0);
@@ -106,12 +107,12 @@ TEST(Simulate, OneRowOfControlStandsForAll) {
 
 TEST(Simulate, WhatIsWrongWithALineIsItsAnswer) {
   const Scene scene = ProblemScene("two_balls");
-  Speaker speaker("direct", Precision::kDouble, {.gradient = true, .step = false, .states = false});
-  EXPECT_THAT(speaker.AnswerTo(R"({"id": 1, "simulate": {}})"), HasSubstr("\"scene\\\" before"));
-  EXPECT_THAT(speaker.AnswerTo("{\"id\": 1"), HasSubstr("expected a JSON object"));
-  EXPECT_THAT(speaker.AnswerTo(R"({"saltus": 1, "scene": {"name": "x"}})"), HasSubstr("scene"));
-  EXPECT_THAT(speaker.AnswerTo(HelloLine(scene)), HasSubstr(R"("can":["gradient"])"));
-  const auto answer = [&](const std::string& rest) { return speaker.AnswerTo("{\"id\": 5, " + rest + "}"); };
+  ProtocolServer speaker("direct", Precision::kDouble, {.gradient = true, .step = false, .states = false});
+  EXPECT_THAT(speaker.ComputeAnswer(R"({"id": 1, "simulate": {}})"), HasSubstr("\"scene\\\" before"));
+  EXPECT_THAT(speaker.ComputeAnswer("{\"id\": 1"), HasSubstr("expected a JSON object"));
+  EXPECT_THAT(speaker.ComputeAnswer(R"({"saltus": 1, "scene": {"name": "x"}})"), HasSubstr("scene"));
+  EXPECT_THAT(speaker.ComputeAnswer(HelloLine(scene)), HasSubstr(R"("can":["gradient"])"));
+  const auto answer = [&](const std::string& rest) { return speaker.ComputeAnswer("{\"id\": 5, " + rest + "}"); };
   EXPECT_THAT(answer(R"("step": {"h": 1, "state": [], "force": []})"), HasSubstr("what was offered"));
   EXPECT_THAT(answer(R"("simulate": {"steps": 1.5, "duration": 1})"), HasSubstr("whole number"));
   EXPECT_THAT(answer(R"("simulate": {"steps": 2, "duration": 1})"), HasSubstr("expected \\\"initial\\\""));
@@ -124,8 +125,8 @@ TEST(Simulate, WhatIsWrongWithALineIsItsAnswer) {
 TEST(Simulate, SaysWhatItCannotTake) {
   Scene scene = ProblemScene("two_balls");
   scene.contact.friction = 0.1;
-  Speaker speaker("direct", Precision::kDouble, {});
-  EXPECT_THAT(speaker.AnswerTo(HelloLine(scene)), HasSubstr(R"("not_applicable":"this model knows no friction")"));
+  ProtocolServer speaker("direct", Precision::kDouble, {});
+  EXPECT_THAT(speaker.ComputeAnswer(HelloLine(scene)), HasSubstr(R"("not_applicable":"this model knows no friction")"));
 }
 
 TEST(Simulate, RefusesWrongFlags) {

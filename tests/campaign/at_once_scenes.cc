@@ -12,8 +12,8 @@
 #include "campaign/scenes.h"
 #include "contact/random_scene.h"
 #include "saltus/control/objective.h"
-#include "saltus/simulate/event_sides.h"
 #include "saltus/simulate/events.h"
+#include "saltus/simulate/one_sided_derivatives.h"
 #include "saltus/simulate/registry.h"
 #include "scene/units.h"
 
@@ -146,13 +146,13 @@ class AtOnceCheck {
  public:
   // In natural units, so that the widths of differences suit scenes of every size.
   explicit AtOnceCheck(const Scene& scene)
-      : scene_(InNaturalUnits(scene)),
+      : scene_(ToNaturalUnits(scene)),
         simulator_(MakeSimulator("event", scene_, Precision::kDouble)),
         initial_(InitialState(scene_)) {}
 
   Counts Run() {
     if (!simulator_->Rollout(initial_, {})) {
-      const std::string why = simulator_->WhyFailed();
+      const std::string why = simulator_->FailureReason();
       Count(kRefusal + why.substr(why.find(": ") + 2, why.rfind(" (") - why.find(": ") - 2));
       return counts_;
     }
@@ -186,7 +186,7 @@ class AtOnceCheck {
 
   void FindNamed() {
     std::vector<OneSided> named = OneSidedDerivatives(scene_);
-    for (const OneSided& entry : OneSidedAtOnce("event", scene_, named)) named.push_back(entry);
+    for (const OneSided& entry : OneSidedBySimultaneousEvents("event", scene_, named)) named.push_back(entry);
     for (const OneSided& entry : named) {
       const int offset = entry.quantity == OneSided::Quantity::kPosition ? 0 : 2;
       named_[4 * entry.body + offset + entry.component] = entry.side;

@@ -10,8 +10,8 @@
 #include "contact/random_scene.h"
 #include "saltus/control/objective.h"
 #include "saltus/scene/walls.h"
-#include "saltus/simulate/event_sides.h"
 #include "saltus/simulate/events.h"
+#include "saltus/simulate/one_sided_derivatives.h"
 #include "saltus/simulate/registry.h"
 #include "scene/units.h"
 
@@ -86,7 +86,7 @@ class SceneCheck {
 
   Counts Run(bool gradient) {
     if (!simulator_->Rollout(initial_, control_)) {
-      const std::string why = simulator_->WhyFailed();
+      const std::string why = simulator_->FailureReason();
       if (why.find("not finite") != std::string::npos) {
         Fail("a state is not finite");
       } else {
@@ -254,7 +254,7 @@ class SceneCheck {
   // Returns the entries of the initial state by which the loss has one-sided derivatives only, with their sides.
   std::map<size_t, OneSided::Side> SidesOfInitial() const {
     std::map<size_t, OneSided::Side> sides;
-    for (const OneSided& at : OneSidedDerivatives(InNaturalUnits(scene_))) {
+    for (const OneSided& at : OneSidedDerivatives(ToNaturalUnits(scene_))) {
       const int offset = at.quantity == OneSided::Quantity::kPosition ? 0 : 2;
       sides[4 * at.body + offset + at.component] = at.side;
     }

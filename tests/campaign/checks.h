@@ -22,9 +22,9 @@ inline constexpr char kFailure[] = "FAILED ", kRefusal[] = "refused: ";
 // positions, velocities, angular velocities and the control. Differences are one-sided, on both sides, at four widths
 // h, h/2, h/4, h/8, and extrapolated; where extrapolations disagree, other events happen within the difference, and
 // nothing is compared on that side. Neither is a side on which discs would overlap at the start. Where a derivative
-// exists from one side only (event_sides.h), the direction is to that side. Differences that disagree are taken again,
-// at 0.3 h; and, as slow impacts or a chaotic motion let a derivative hold very near only, at a very small h. A
-// gradient so large that not even these show it is left out. Where contact lasts, velocities below the model's
+// exists from one side only (one_sided_derivatives.h), the direction is to that side. Differences that disagree are
+// taken again, at 0.3 h; and, as slow impacts or a chaotic motion let a derivative hold very near only, at a very small
+// h. A gradient so large that not even these show it is left out. Where contact lasts, velocities below the model's
 // threshold are cut off, and what was moved takes its time to come to rest: there h and the tolerances are larger, and
 // widths h, h/4, h/16, h/64.
 //
@@ -33,9 +33,9 @@ inline constexpr char kFailure[] = "FAILED ", kRefusal[] = "refused: ";
 Counts Check(const Scene& scene, std::uint32_t seed, bool gradient);
 
 // Compares every entry of the gradient by the initial state with differences of the loss on both sides. It must agree
-// with both, or be named one-sided (event_sides.h, audit/gradient/step_study.h) as the differences are; what is
-// named must not agree with both. Scenes in which something rests or grazes, or in which the order of impacts decides
-// the motion, are left out and counted.
+// with both, or be named one-sided (one_sided_derivatives.h, audit/gradient/step_study.h) as the differences are; what
+// is named must not agree with both. Scenes in which something rests or grazes, or in which the order of impacts
+// decides the motion, are left out and counted.
 Counts CheckAtOnce(const Scene& scene);
 
 }  // namespace saltus::campaign

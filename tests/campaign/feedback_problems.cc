@@ -62,7 +62,7 @@ Scene ProblemScene(const std::string& name) {
 Case OfScene(const char* name, const Scene& scene) {
   const auto motion = MakeSimulator({"event"}, scene, Precision::kDouble);
   const std::vector<double> control = InitialControl(scene, motion->num_steps());
-  CHECK(motion->Rollout(InitialState(scene), control)) << motion->WhyFailed();
+  CHECK(motion->Rollout(InitialState(scene), control)) << motion->FailureReason();
   Case at{.name = name, .plan = MakePlan(*motion, control), .linear = Linearize(*motion, control)};
   const int n = motion->state_size(), m = motion->control_width();
   const double step = motion->step();
@@ -77,7 +77,7 @@ Case OfScene(const char* name, const Scene& scene) {
 
 Case OfSystem(const char* name, const HybridProblem& problem, std::vector<MatrixXd> Q) {
   const auto motion = std::make_shared<HybridSimulator>(problem.system, problem.integration);
-  CHECK(motion->Rollout(problem.guess)) << motion->WhyFailed();
+  CHECK(motion->Rollout(problem.guess)) << motion->FailureReason();
   Case at{.name = name, .plan = MakePlan(*motion, problem.guess), .linear = Linearize(*motion, problem.guess)};
   const Eigen::Index n0 = at.plan.states.front().size(), n = at.plan.states.back().size();
   const int m = problem.system.num_controls();
@@ -121,7 +121,7 @@ void Compare(const Case& at) {
           worst,
           rms,
           std::sqrt(P.trace()),
-          static_cast<double>(runs.otherwise) / FLAGS_samples,
+          static_cast<double>(runs.off_plan) / FLAGS_samples,
           first_order.change_probability,
           runs.failed);
       failed = failed || (size < 1 && worst > 5);

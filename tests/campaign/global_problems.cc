@@ -71,7 +71,7 @@ class Controls {
 
   void Optimize() {
     SolverOptions options{.limits = {.iterations = 40}};
-    options.guess = ControlGuess{random_.Below(2) == 0 ? Drawn() : best_, {}};
+    options.guess = ControlGuess{random_.UniformIndex(2) == 0 ? Drawn() : best_, {}};
     const SolveReport report = Solve("ceres_lm", {scene_, "event"}, options);
     if (report.solution.control.size() == best_.size()) Meet(report.solution.control);
   }

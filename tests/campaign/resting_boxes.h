@@ -22,7 +22,7 @@ class RandomNumbers {
   double Uniform(double low, double high) {
     return low + (high - low) * (static_cast<double>(random_()) / 4294967296.0);
   }
-  int Below(int count) { return static_cast<int>(random_() % static_cast<unsigned>(count)); }
+  int UniformIndex(int count) { return static_cast<int>(random_() % static_cast<unsigned>(count)); }
 
  private:
   std::mt19937 random_;
@@ -143,13 +143,13 @@ class TossUntilRest {
     RestingReport report;
     const MechanicalSystem::Start start = system.FindMode(input.initial, {}, input.parameters);
     if (start.mode < 0) {
-      report.refused = start.why;
+      report.refused = start.reason;
       return report;
     }
     input.mode = start.mode;
     HybridSimulator simulator(system.hybrid(), {.most_events = 20000});
     if (!simulator.Rollout(input)) {
-      report.refused = simulator.WhyFailed();
+      report.refused = simulator.FailureReason();
       if (report.refused.empty()) report.wrong = "refused without a reason";
       return report;
     }
@@ -232,14 +232,15 @@ class RestingScene {
 
   explicit RestingScene(int seed) : kind_(static_cast<Kind>(seed % kNumKinds)) {
     RandomNumbers random(seed);
-    RigidScene2D scene{.bodies = {}, .planes = {{}}, .restitution = random.Below(2) * random.Uniform(0, 0.9)};
+    RigidScene2D scene{.bodies = {}, .planes = {{}}, .restitution = random.UniformIndex(2) * random.Uniform(0, 0.9)};
     const double a = random.Uniform(0.05, 0.3), b = a * random.Uniform(0.5, 4), m = random.Uniform(0.3, 3);
     RigidBody2D box{.name = "box", .polygon = BoxPolygon(a, b), .mass = m, .position = {0, b}};
     switch (kind_) {
       case kIncline: {
         // tan(angle) below a / b, at which it tips, and friction from 1.0001 to 2 times the tangent.
         angle_ = std::atan(a / b * random.Uniform(0.05, 0.95));
-        scene.friction = std::tan(angle_) * (random.Below(2) ? random.Uniform(1.0001, 1.01) : random.Uniform(1.01, 2));
+        scene.friction =
+            std::tan(angle_) * (random.UniformIndex(2) ? random.Uniform(1.0001, 1.01) : random.Uniform(1.01, 2));
         const double along = random.Uniform(-1, 1), s = std::sin(angle_), c = std::cos(angle_);
         box.position = {along * c - b * s, along * s + b * c};
         box.angle = angle_;
@@ -252,7 +253,7 @@ class RestingScene {
         scene.friction = random.Uniform(0.2, 1.5);
         const double limit = std::min(scene.friction, a / b) * m * 9.81;
         box.pushed = true;
-        box.position[0] = random.Below(2) * random.Uniform(-1, 1);
+        box.position[0] = random.UniformIndex(2) * random.Uniform(-1, 1);
         control_ = {limit * random.Uniform(-0.999, 0.999), 0, 0};
         scene.bodies = {box};
         break;
@@ -260,7 +261,7 @@ class RestingScene {
       case kStack: {
         // Each box is narrower than that below it, and its centre is above it.
         scene.friction = random.Uniform(0, 1);
-        const int count = 2 + random.Below(4);
+        const int count = 2 + random.UniformIndex(4);
         double width = 0.3, top = 0, place = 0;
         for (int i = 0; i < count; ++i) {
           const double height = random.Uniform(0.03, 0.1);
@@ -270,7 +271,7 @@ class RestingScene {
                                   .position = {place, top + height}});
           top += 2 * height;
           const double next = width * random.Uniform(0.5, 0.9);
-          place += random.Below(2) * random.Uniform(-0.9, 0.9) * (width - next);
+          place += random.UniformIndex(2) * random.Uniform(-0.9, 0.9) * (width - next);
           width = next;
         }
         break;
@@ -282,7 +283,7 @@ class RestingScene {
         box.position[0] = a;
         box.pushed = true;
         const double limit = std::min(scene.friction, a / b) * m * 9.81;
-        control_ = {random.Below(3) == 0 ? 0.0 : random.Uniform(-0.99, 0.99) * limit, 0, 0};
+        control_ = {random.UniformIndex(3) == 0 ? 0.0 : random.Uniform(-0.99, 0.99) * limit, 0, 0};
         scene.bodies = {box};
         break;
       }
@@ -306,13 +307,13 @@ class RestingScene {
     RestingReport report;
     const MechanicalSystem::Start start = system.FindMode(input.initial, control_, input.parameters);
     if (start.mode < 0) {
-      report.refused = start.why;
+      report.refused = start.reason;
       return report;
     }
     input.mode = start.mode;
     HybridSimulator simulator(system.hybrid(), {.most_events = 100});
     if (!simulator.Rollout(input)) {
-      report.refused = simulator.WhyFailed();
+      report.refused = simulator.FailureReason();
       return report;
     }
     CheckMotion(bodies, system, simulator, input, &report);
@@ -347,12 +348,12 @@ class MovingColumn {
  public:
   explicit MovingColumn(int seed) {
     RandomNumbers random(seed);
-    const int count = 2 + random.Below(4);
-    scene_.friction = random.Below(4) == 0 ? 0 : random.Uniform(0.05, 1.2);
-    scene_.restitution = random.Below(2) * random.Uniform(0, 0.9);
-    double top = random.Below(2) * random.Uniform(0, 0.1), place = 0;
-    const double speed = random.Below(2) * random.Uniform(-2, 2);
-    const bool all_move = random.Below(2) != 0, equal = random.Below(2) != 0;
+    const int count = 2 + random.UniformIndex(4);
+    scene_.friction = random.UniformIndex(4) == 0 ? 0 : random.Uniform(0.05, 1.2);
+    scene_.restitution = random.UniformIndex(2) * random.Uniform(0, 0.9);
+    double top = random.UniformIndex(2) * random.Uniform(0, 0.1), place = 0;
+    const double speed = random.UniformIndex(2) * random.Uniform(-2, 2);
+    const bool all_move = random.UniformIndex(2) != 0, equal = random.UniformIndex(2) != 0;
     for (int i = 0; i < count; ++i) {
       const double width = equal ? 0.1 : random.Uniform(0.05, 0.2), height = equal ? 0.05 : random.Uniform(0.03, 0.1);
       if (i > 0 && !equal) place += random.Uniform(-0.05, 0.05);
@@ -373,10 +374,10 @@ class MovingColumn {
     RestingReport report;
     const MechanicalSystem::Start start = system.FindMode(input.initial, {}, input.parameters);
     input.mode = start.mode;
-    report.refused = start.why;
+    report.refused = start.reason;
     if (start.mode < 0) return report;
     HybridSimulator simulator(system.hybrid(), {.steps_per_interval = steps, .most_events = 20000});
-    if (!simulator.Rollout(input)) report.refused = simulator.WhyFailed();
+    if (!simulator.Rollout(input)) report.refused = simulator.FailureReason();
     if (!report.refused.empty()) return report;
     CheckMotion(bodies, system, simulator, input, &report);
     report.rests = Rests(simulator.final_state(), 1e-9);

@@ -44,8 +44,8 @@ void Run() {
   for (int seed = FLAGS_seed; seed < FLAGS_seed + FLAGS_problems; ++seed) {
     Scene scene = ControlProblem(seed);
     scene.steps = FLAGS_steps;
-    if (!WhyNoHybridProblem(scene).empty()) continue;
-    const HybridProblem problem = HybridProblemOf(scene);
+    if (!UnsupportedByHybridProblem(scene).empty()) continue;
+    const HybridProblem problem = MakeHybridProblem(scene);
     const double begin = CpuTime();
     const SolveReport discs = Solve(FLAGS_solver, {scene, "event"}, {});
     const double middle = CpuTime();

@@ -79,7 +79,7 @@ class TossedBoxes {
     HybridSimulator simulator(system_.hybrid(), {.steps_per_interval = 100, .most_events = most_events});
     const bool done = simulator.Rollout(input);
     if (!done) {
-      result.refused = simulator.WhyFailed();
+      result.refused = simulator.FailureReason();
       if (result.refused.empty()) result.wrong = "refused without a reason";
     }
     const MechanicalReport report = system_.Examine(simulator, input);
@@ -122,7 +122,7 @@ class TossedBoxes {
       result.wrong += text;
     }
     if (!done) return result;
-    result.why_no_derivative = simulator.WhyNotDifferentiable();
+    result.why_no_derivative = simulator.ReasonNotDifferentiable();
     if (!with_gradient || !result.why_no_derivative.empty()) return result;
     CompareGradient(input, simulator, &result);
     if (result.gradient_compared && result.gradient_error > kGradient) {

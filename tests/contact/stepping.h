@@ -14,7 +14,7 @@
 #include <vector>
 
 #include "saltus/audit/gradients.h"
-#include "saltus/simulate/own_contact.h"
+#include "saltus/simulate/user_contact.h"
 #include "test_scenes.h"
 
 namespace saltus::testing {

@@ -16,7 +16,7 @@ namespace {
 
 SingleShooting Shooting(const Scene& scene, const std::string& contact) {
   return SingleShooting(MakeSimulator(contact, scene, Precision::kDouble),
-                        SingleShooting::Variables::kOfScene,
+                        SingleShooting::Variables::kOptimized,
                         [contact](const Scene& other) { return MakeSimulator(contact, other, Precision::kDouble); });
 }
 
@@ -38,7 +38,7 @@ double Difference(SingleShooting* shooting, std::vector<double> z, std::size_t i
   for (const auto& [node, weight] : {std::pair(-2, 1. / 12), {-1, -8. / 12}, {1, 8. / 12}, {2, -1. / 12}}) {
     z[i] = at + node * step;
     double loss = 0;
-    EXPECT_TRUE(shooting->Evaluate(z, &loss, nullptr)) << shooting->WhyFailed();
+    EXPECT_TRUE(shooting->Evaluate(z, &loss, nullptr)) << shooting->FailureReason();
     sum += weight * loss;
   }
   return sum / step;
@@ -47,7 +47,7 @@ double Difference(SingleShooting* shooting, std::vector<double> z, std::size_t i
 // Compares the derivatives by all variables; of a control only the first and the last.
 void ExpectGradient(const Scene& scene, const std::string& contact, double step, double tolerance) {
   SCOPED_TRACE(contact + " on " + scene.name);
-  ASSERT_EQ(WhyNotApplicable(contact, scene), "");
+  ASSERT_EQ(ReasonNotApplicable(contact, scene), "");
   SingleShooting shooting = Shooting(scene, contact);
   ASSERT_EQ(shooting.num_design(), static_cast<int>(scene.design.size()));
   std::vector<double> z = shooting.initial_guess(), gradient(z.size());
@@ -55,7 +55,7 @@ void ExpectGradient(const Scene& scene, const std::string& contact, double step,
   double loss = 0;
   // From a design that is not the scene's.
   for (std::size_t i = first; i < z.size(); ++i) z[i] += 1e-3 * std::cos(3.0 * static_cast<double>(i - first));
-  ASSERT_TRUE(shooting.Evaluate(z, &loss, gradient.data())) << shooting.WhyFailed();
+  ASSERT_TRUE(shooting.Evaluate(z, &loss, gradient.data())) << shooting.FailureReason();
   for (std::size_t i = 0; i < z.size(); ++i) {
     if (i > 0 && i + 1 < first) continue;
     SCOPED_TRACE(i < first ? "control " + std::to_string(i) : NameOf(scene.design[i - first].parameter, scene));
@@ -180,7 +180,7 @@ TEST(Design, ValuesOutOfBoundsHaveNoLoss) {
   double loss = 0;
   EXPECT_TRUE(shooting.Evaluate(std::vector{0.1}, &loss, nullptr));
   EXPECT_FALSE(shooting.Evaluate(std::vector{0.1001}, &loss, nullptr));
-  EXPECT_EQ(shooting.WhyFailed(), "offset.gate is out of its bounds");
+  EXPECT_EQ(shooting.FailureReason(), "offset.gate is out of its bounds");
 }
 
 }  // namespace

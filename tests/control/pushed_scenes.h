@@ -80,7 +80,7 @@ inline Scene WithRunningTerms(Scene scene) {
 
 // Returns the scene, of two discs that are pushed, with torques on them too.
 inline Scene WithTorques(Scene scene) {
-  scene.control.turned = scene.control.bodies;
+  scene.control.torque_bodies = scene.control.bodies;
   scene.control.initial_torque = {0.03, -0.05};
   return scene;
 }

@@ -115,7 +115,7 @@ TEST_P(StepCostOf, HasTheJacobianOfTheStep) {
   const double width = WidthFor(model);
   bool touched = false;
   for (Scene scene : {FourDiscs(0), FourDiscs(0.3), BounceOffTheGrid(), LaunchOffTheGrid()}) {
-    if (!WhyNotApplicable(model, scene).empty()) continue;
+    if (!ReasonNotApplicable(model, scene).empty()) continue;
     std::shared_ptr<Simulator> simulator = MakeSimulator(model, scene, Precision::kDouble);
     const std::vector<double> control = InitialControl(scene, simulator->num_steps());
     ASSERT_TRUE(simulator->Rollout(InitialState(scene), control));

@@ -98,12 +98,12 @@ TEST(Threads, SolversSideBySide) {
 TEST(Threads, AuditsSideBySide) {
   Scene scene = ProblemScene("bounce_once");
   scene.steps = 60;
-  const std::optional<ModelGradient> exact = ExactGradientOf(scene);
+  const std::optional<ModelGradient> exact = ComputeExactGradient(scene);
   ASSERT_TRUE(exact);
   const char* contacts[kThreads] = {"direct", "direct_toi", "compliant_warp", "lcp_pgs"};
   const auto audit = [&](int i) {
     const ModelAudit result = AuditModel(contacts[i], scene, Precision::kDouble, exact, {});
-    return std::pair(result.verdict, result.Why());
+    return std::pair(result.verdict, result.VerdictReason());
   };
   std::vector<std::pair<Verdict, std::string>> alone, together(kThreads);
   for (int i = 0; i < kThreads; ++i) alone.push_back(audit(i));
@@ -143,9 +143,9 @@ TEST(Threads, RefinementAsksBeforeEachLevelHowMany) {
 TEST(Threads, OwnDifferencesOfOneModel) {
   for (const char* problem : {"two_balls", "multiple_collisions"}) {
     for (const char* contact : {"lcp", "direct", "event", "lcp_pgs"}) {
-      const OwnDifferences one = CompareWithOwnDifferences(contact, ProblemScene(problem));
+      const GradientCheck one = CheckGradient(contact, ProblemScene(problem));
       for (int threads = 2; threads <= kThreads; ++threads) {
-        const OwnDifferences several = CompareWithOwnDifferences(contact, ProblemScene(problem), nullptr, threads);
+        const GradientCheck several = CheckGradient(contact, ProblemScene(problem), nullptr, threads);
         EXPECT_EQ(several.agreement, one.agreement) << contact;
         EXPECT_EQ(several.quantity, one.quantity) << contact;
         EXPECT_EQ(several.gradient, one.gradient) << contact;
@@ -174,7 +174,7 @@ TEST(Threads, AttributionOfOneModel) {
         EXPECT_EQ(several.contacts[i].first_step, one.contacts[i].first_step);
         EXPECT_EQ(several.contacts[i].error, one.contacts[i].error);
         EXPECT_EQ(several.contacts[i].stays, one.contacts[i].stays);
-        EXPECT_EQ(several.contacts[i].why, one.contacts[i].why);
+        EXPECT_EQ(several.contacts[i].cause, one.contacts[i].cause);
       }
     }
   }

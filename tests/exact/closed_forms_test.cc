@@ -18,9 +18,9 @@ void ExpectVector(const Vec2d& actual, const Vec2d& expected) {
 }
 
 ClosedForm Evaluate(const Scene& scene) {
-  std::string why_not;
-  const std::optional<ClosedForm> form = EvaluateClosedForm(scene, &why_not);
-  EXPECT_TRUE(form) << why_not;
+  std::string reason_not_applicable;
+  const std::optional<ClosedForm> form = EvaluateClosedForm(scene, &reason_not_applicable);
+  EXPECT_TRUE(form) << reason_not_applicable;
   return form.value_or(ClosedForm());
 }
 
@@ -271,9 +271,9 @@ TEST(TwoBallsTest, NoCollision) {
 }
 
 void ExpectRefusal(const Scene& scene, const std::string& reason) {
-  std::string why_not;
-  EXPECT_FALSE(EvaluateClosedForm(scene, &why_not));
-  EXPECT_NE(why_not.find(reason), std::string::npos) << why_not;
+  std::string reason_not_applicable;
+  EXPECT_FALSE(EvaluateClosedForm(scene, &reason_not_applicable));
+  EXPECT_NE(reason_not_applicable.find(reason), std::string::npos) << reason_not_applicable;
 }
 
 TEST(ClosedFormRefusalTest, OtherFamilies) {

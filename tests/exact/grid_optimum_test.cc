@@ -9,9 +9,9 @@ namespace {
 using namespace exact_test;
 
 GridOptimum FindOnGrid(const Scene& scene, TwoDiscSequence sequence) {
-  std::string why_not;
-  const std::optional<GridOptimum> optimum = FindGridOptimum(scene, sequence, &why_not);
-  EXPECT_TRUE(optimum) << why_not;
+  std::string reason_not_applicable;
+  const std::optional<GridOptimum> optimum = FindGridOptimum(scene, sequence, &reason_not_applicable);
+  EXPECT_TRUE(optimum) << reason_not_applicable;
   return optimum.value_or(GridOptimum());
 }
 
@@ -114,9 +114,9 @@ TEST(GridOptimumTest, NeighboursAreNotBetter) {
 }
 
 TEST(GridOptimumTest, RefusesOtherProblems) {
-  std::string why_not;
-  EXPECT_FALSE(FindGridOptimum(GroundWall(0), TwoDiscSequence::kImpact, &why_not));
-  EXPECT_EQ(why_not, "there must be two discs");
+  std::string reason_not_applicable;
+  EXPECT_FALSE(FindGridOptimum(GroundWall(0), TwoDiscSequence::kImpact, &reason_not_applicable));
+  EXPECT_EQ(reason_not_applicable, "there must be two discs");
 }
 
 TEST(GridOptimumDeathTest, NodeOutOfRange) {

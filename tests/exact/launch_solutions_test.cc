@@ -49,11 +49,11 @@ TEST_P(LaunchSolutionsTest, HaveZeroLossAndIncreasingSpeed) {
 INSTANTIATE_TEST_SUITE_P(Friction, LaunchSolutionsTest, ::testing::Values(0.0, 0.1), ParameterName());
 
 TEST(LaunchSolutionsRefusalTest, OtherProblems) {
-  std::string why_not;
-  EXPECT_TRUE(FindLaunchSolutions(BounceOnce(), 3, &why_not).empty());
-  EXPECT_EQ(why_not, "the objective must be the disc's squared distance to a point");
-  EXPECT_TRUE(FindLaunchSolutions(TwoBalls(), 3, &why_not).empty());
-  EXPECT_EQ(why_not, "there must be one moving disc");
+  std::string reason_not_applicable;
+  EXPECT_TRUE(FindLaunchSolutions(BounceOnce(), 3, &reason_not_applicable).empty());
+  EXPECT_EQ(reason_not_applicable, "the objective must be the disc's squared distance to a point");
+  EXPECT_TRUE(FindLaunchSolutions(TwoBalls(), 3, &reason_not_applicable).empty());
+  EXPECT_EQ(reason_not_applicable, "there must be one moving disc");
 }
 
 }  // namespace

@@ -12,9 +12,9 @@ namespace {
 using namespace exact_test;
 
 TwoDiscOptimum Find(const Scene& scene, TwoDiscSequence sequence) {
-  std::string why_not;
-  const std::optional<TwoDiscOptimum> optimum = FindTwoDiscOptimum(scene, sequence, &why_not);
-  EXPECT_TRUE(optimum) << why_not;
+  std::string reason_not_applicable;
+  const std::optional<TwoDiscOptimum> optimum = FindTwoDiscOptimum(scene, sequence, &reason_not_applicable);
+  EXPECT_TRUE(optimum) << reason_not_applicable;
   return optimum.value_or(TwoDiscOptimum());
 }
 
@@ -133,9 +133,9 @@ TEST(TwoDiscOptimumTest, CostateIsGradientOfTheOptimalLoss) {
 
 TEST(TwoDiscOptimumTest, RefusesOtherProblems) {
   const auto expect_refusal = [](const Scene& scene, TwoDiscSequence sequence, const std::string& reason) {
-    std::string why_not;
-    EXPECT_FALSE(FindTwoDiscOptimum(scene, sequence, &why_not));
-    EXPECT_NE(why_not.find(reason), std::string::npos) << why_not;
+    std::string reason_not_applicable;
+    EXPECT_FALSE(FindTwoDiscOptimum(scene, sequence, &reason_not_applicable));
+    EXPECT_NE(reason_not_applicable.find(reason), std::string::npos) << reason_not_applicable;
   };
   expect_refusal(BounceOnce(), TwoDiscSequence::kImpact, "two discs");
   expect_refusal(TwoBalls(), TwoDiscSequence::kImpactThenPlane, "one plane");

@@ -41,7 +41,7 @@ void ExpectCovariance(const MatrixXd& found, const MatrixXd& expected, int sampl
 class BallInClosedLoop : public ::testing::Test {
  protected:
   BallInClosedLoop() {
-    EXPECT_TRUE(motion_.Rollout(input_)) << motion_.WhyFailed();
+    EXPECT_TRUE(motion_.Rollout(input_)) << motion_.FailureReason();
     linear_ = Linearize(motion_, input_);
     plan_ = MakePlan(motion_, input_);
     regulator_ = Track(linear_, Weights(2, 0.05));
@@ -101,7 +101,7 @@ TEST_F(BallInClosedLoop, SamplesHaveThePropagatedCovariance) {
   const auto make = [&] { return Ball(); };
   const MonteCarlo open = RunMonteCarlo(plan_, {}, noise, make, options);
   const MonteCarlo closed = RunMonteCarlo(plan_, regulator_.gains, noise, make, options);
-  EXPECT_EQ(open.otherwise + closed.otherwise + open.failed + closed.failed, 0);
+  EXPECT_EQ(open.off_plan + closed.off_plan + open.failed + closed.failed, 0);
   ExpectCovariance(open.covariance, Propagate(linear_, noise).nodes[24], 2000, 4);
   ExpectCovariance(closed.covariance, Propagate(linear_, noise, &regulator_).nodes[24], 2000, 4);
   EXPECT_LT(closed.covariance.trace(), 0.2 * open.covariance.trace());
@@ -166,7 +166,7 @@ TEST_F(BallInClosedLoop, ProbabilityThatTheImpactComesTooLate) {
       RunMonteCarlo(MakePlan(motion_, input), {}, noise, [&] { return MakePlant(motion_, input); }, {.samples = 4000});
   // The height is quadratic in the time: within a tenth, and four standard errors.
   EXPECT_NEAR(
-      samples.otherwise / 4000.0, covariance.change_probability, 0.1 * expected + 4 * std::sqrt(expected / 4000));
+      samples.off_plan / 4000.0, covariance.change_probability, 0.1 * expected + 4 * std::sqrt(expected / 4000));
 }
 
 // Two bounces in one interval: the second may come before the first, whose times are correlated.
@@ -239,7 +239,7 @@ TEST_F(DiscsInClosedLoop, SamplesHaveThePropagatedCovariance) {
   const auto make = [&] { return Discs("event"); };
   const MonteCarlo open = RunMonteCarlo(plan_, {}, noise_, make, {.samples = 1000});
   const MonteCarlo closed = RunMonteCarlo(plan_, regulator_.gains, noise_, make, {.samples = 1000});
-  EXPECT_EQ(open.otherwise + closed.otherwise, 0);
+  EXPECT_EQ(open.off_plan + closed.off_plan, 0);
   ExpectCovariance(open.covariance, Propagate(linear_, noise_).nodes[60], 1000, 4.5);
   ExpectCovariance(closed.covariance, Propagate(linear_, noise_, &regulator_).nodes[60], 1000, 4.5);
   EXPECT_LT(closed.covariance.trace(), open.covariance.trace());
@@ -260,7 +260,7 @@ TEST_F(DiscsInClosedLoop, ProbabilityThatTheDiscsMiss) {
   EXPECT_NEAR(covariance.risks[0].probability, 0.5 * std::erfc(0.4 / deviation / std::numbers::sqrt2), 1e-9);
   const MonteCarlo samples = RunMonteCarlo(plan_, {}, noise, [&] { return Discs("event"); }, {.samples = 2000});
   const double expected = covariance.change_probability;
-  EXPECT_NEAR(samples.otherwise / 2000.0, expected, 0.5 * expected + 4 * std::sqrt(expected / 2000));
+  EXPECT_NEAR(samples.off_plan / 2000.0, expected, 0.5 * expected + 4 * std::sqrt(expected / 2000));
 }
 
 // The plan of exact dynamics, followed under a model that resolves no impact times.
@@ -282,7 +282,7 @@ TEST(Filter, MeanBehindAGuard) {
   filter.Update(VectorXd::Constant(1, -0.05), C, MatrixXd::Constant(1, 1, 0.01));
   EXPECT_NEAR(filter.mean()[0], -0.02, 1e-15);
   EXPECT_NEAR(filter.covariance()(0, 0), 0.005, 1e-15);
-  ASSERT_TRUE(filter.Predict(2.1)) << filter.WhyFailed();
+  ASSERT_TRUE(filter.Predict(2.1)) << filter.FailureReason();
   EXPECT_NEAR(filter.mean()[0], 2.1 * 0.1 - 4.9 * 0.01, 1e-13);  // the reset puts it onto the ground
   EXPECT_NEAR(filter.mean()[1], 2.1 - 0.98, 1e-13);
   Eigen::Matrix2d salted{{-0.7, 0}, {1.7 * 9.8 / 3, -0.7}}, flow{{1, 0.1}, {0, 1}};
@@ -301,7 +301,7 @@ TEST(Filter, MeanOfADiscInTheGround) {
   const Eigen::Vector4d x(0.3, kDiscRadius - 0.02, 1, -3);
   const MatrixXd P = Eigen::Vector4d(0.04, 0.01, 0.02, 0.03).asDiagonal();
   SaltedKalmanFilter filter(scene, 0, x, P);
-  ASSERT_TRUE(filter.Predict(0.1)) << filter.WhyFailed();
+  ASSERT_TRUE(filter.Predict(0.1)) << filter.FailureReason();
   const Eigen::Vector4d expected = BounceFor(x, 0.1);
   EXPECT_GT(expected[3], 0);
   EXPECT_LE((filter.mean() - expected).cwiseAbs().maxCoeff(), 1e-10);

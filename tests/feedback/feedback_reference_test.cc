@@ -70,7 +70,7 @@ const MatrixXd kInitialCovariance = Matrix(2, {1e-4, 0, 0, 1e-4});
 TEST(FeedbackReference, ContinuousRegulatorAboutTheOptimum) {
   HybridSimulator motion(HybridSystem(OptimalBall()), {.tolerance = 1e-14});
   const HybridInput input{.initial = {4, 0}, .duration = 1};
-  ASSERT_TRUE(motion.Rollout(input)) << motion.WhyFailed();
+  ASSERT_TRUE(motion.Rollout(input)) << motion.FailureReason();
   ASSERT_EQ(motion.events().size(), 1u);
   const Regulator regulator = TrackContinuously(motion, input, kCost);
   ASSERT_EQ(regulator.gains.size(), 1u);
@@ -78,7 +78,7 @@ TEST(FeedbackReference, ContinuousRegulatorAboutTheOptimum) {
       regulator.cost_to_go[0],
       Matrix(2, {1.08319703617475276636, 0.33866169546461259145, 0.33866169546461259145, 0.204527488336335026504}));
   ExpectClose(regulator.gains[0], Matrix(1, {6.77323390929225183, 4.09054976672670053}));
-  const Regulator::AtEvent& event = regulator.events[0];
+  const Regulator::EventJump& event = regulator.events[0];
   EXPECT_NEAR(event.time, OptimalBall::kImpact, 1e-13);
   ExpectClose(event.saltation, Matrix(2, {-0.7, 0, 2.35149524296556742, -0.7}));
   ExpectClose(event.cost_before,
@@ -126,7 +126,7 @@ TEST(FeedbackReference, PredictionInPieces) {
   SaltedKalmanFilter filter(
       HybridSystem(OptimalBall()), {}, 0, 0, Eigen::Vector2d(4, 0), kInitialCovariance, {.tolerance = 1e-14});
   for (const double time : {0.25, 0.6, 0.65, 0.9, 1.0}) {
-    ASSERT_TRUE(filter.Predict(time)) << filter.WhyFailed();
+    ASSERT_TRUE(filter.Predict(time)) << filter.FailureReason();
     EXPECT_EQ(filter.mode(), time < OptimalBall::kImpact ? 0 : 1);
   }
   EXPECT_NEAR(filter.mean()[0], 0.9961148553777191287356, 1e-13);
@@ -142,7 +142,7 @@ class PassiveBall : public ::testing::Test {
  protected:
   LinearMotion LinearOf(int num_intervals) {
     const HybridInput input{.initial = {4, 0}, .parameters = {9.8, 0.7}, .duration = 1, .num_intervals = num_intervals};
-    EXPECT_TRUE(motion_.Rollout(input)) << motion_.WhyFailed();
+    EXPECT_TRUE(motion_.Rollout(input)) << motion_.FailureReason();
     return Linearize(motion_, input);
   }
   HybridSimulator motion_{HybridSystem(BouncingBall()), {.tolerance = 1e-14}};
@@ -279,7 +279,7 @@ void FollowTable(SaltedKalmanFilter* filter, int y, int apart, double ground) {
   double log_likelihood = 0;
   for (int step = 0; step < 10; ++step) {
     const double* row = table[step];
-    ASSERT_TRUE(filter->Predict(0.1 * (step + 1), {}, W)) << filter->WhyFailed();
+    ASSERT_TRUE(filter->Predict(0.1 * (step + 1), {}, W)) << filter->FailureReason();
     if (of_system) {
       ASSERT_EQ(filter->events().size(), step == 4 ? 1u : 0u);
       if (step == 4) {
@@ -294,7 +294,7 @@ void FollowTable(SaltedKalmanFilter* filter, int y, int apart, double ground) {
                   Matrix(2, {0.000802004324870578, -0.00175041886643505, -0.00175041886643505, 0.00981215966826378}));
     }
     const std::optional<double> likelihood = filter->Update(Eigen::VectorXd::Constant(1, row[0] + ground), C, V);
-    ASSERT_TRUE(likelihood) << filter->WhyFailed();
+    ASSERT_TRUE(likelihood) << filter->FailureReason();
     log_likelihood += *likelihood;
     EXPECT_NEAR(filter->mean()[y] - ground, row[3], kTolerance);
     EXPECT_NEAR(filter->mean()[v], row[4], kTolerance);

@@ -246,7 +246,7 @@ TEST(SceneFeedback, ImpactsOfOthersMayChangePlaces) {
   EXPECT_LT(Propagate(planned.linear, noise).change_probability, 1e-9);
   const auto plant = [&] { return MakePlant(Contact("event"), scene, planned.lengths); };
   const MonteCarlo runs = RunMonteCarlo(planned.plan, {}, noise, plant, {.samples = 100});
-  EXPECT_EQ(runs.otherwise, 0);
+  EXPECT_EQ(runs.off_plan, 0);
 }
 
 // A disc passes another with a gap of 5 mm, at 0.6 s: it strikes it if errors across are larger.
@@ -270,7 +270,7 @@ TEST(SceneFeedback, NearMissesAndGrazes) {
         << covariance.Warning();
     const auto plant = [&] { return MakePlant(Contact("event"), scene, planned.lengths); };
     const MonteCarlo runs = RunMonteCarlo(planned.plan, {}, noise, plant, {.samples = 2000, .threads = 2});
-    EXPECT_NEAR(runs.otherwise / 2000.0, expected, 4 * std::sqrt(expected / 2000)) << gap;
+    EXPECT_NEAR(runs.off_plan / 2000.0, expected, 4 * std::sqrt(expected / 2000)) << gap;
   }
 }
 

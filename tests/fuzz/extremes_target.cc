@@ -154,7 +154,7 @@ void RunModel(const Contact& contact, const Scene& scene, Precision precision, s
   const std::unique_ptr<Simulator> simulator = MakeSimulator(contact, scene, precision);
   simulator->set_stop([&] { return simulator->touches().size() > kMostTouches; });
   if (!simulator->Rollout(initial, control)) {
-    CHECK(simulator->stopped() || !simulator->WhyFailed().empty()) << contact.name();
+    CHECK(simulator->stopped() || !simulator->FailureReason().empty()) << contact.name();
     return;
   }
   std::vector<double> end(simulator->state_size());
@@ -189,13 +189,14 @@ void RunsExtremes(std::string_view bytes) {
   const std::variant<Scene, SceneFileError> again = ParseScene(WriteScene(scene), "output");
   CHECK(std::holds_alternative<Scene>(again) && std::get<Scene>(again) == scene) << text;
   scene.steps = std::min(scene.steps, kMostSteps);
-  const Scene natural = InNaturalUnits(scene);
+  const Scene natural = ToNaturalUnits(scene);
   const std::optional<SceneError> error = ValidateStructure(natural);
   CHECK(!error) << error->ToString() << "\n" << text;
   for (const ModelTraits& model : AllContactModels()) {
-    const std::string why_not = WhyNotApplicable(model.name, scene);
-    CHECK_EQ(why_not.empty(), WhyNotApplicable(model.name, natural).empty()) << model.name << ": " << why_not;
-    if (!why_not.empty() || scene.steps % model.grid_steps != 0) continue;
+    const std::string reason_not_applicable = ReasonNotApplicable(model.name, scene);
+    CHECK_EQ(reason_not_applicable.empty(), ReasonNotApplicable(model.name, natural).empty())
+        << model.name << ": " << reason_not_applicable;
+    if (!reason_not_applicable.empty() || scene.steps % model.grid_steps != 0) continue;
     const std::vector<double> initial = InitialState(scene),
                               control = InitialControl(scene, scene.steps / model.grid_steps);
     for (const Precision precision : {Precision::kDouble, Precision::kFloat}) {

@@ -21,7 +21,7 @@ void CheckNumbers(const std::vector<double>& numbers, int most) {
 void ReadsGiven(std::string_view bytes) {
   const Scene& scene = ExampleScene();
   try {
-    const GivenGradient given = ReadGivenGradient(FileWith(bytes), scene);
+    const ExternalGradient given = ReadExternalGradient(FileWith(bytes), scene);
     CHECK(given.tolerance >= 0 && std::isfinite(given.tolerance));
     CheckNumbers(given.position, 2 * scene.num_bodies());
     CheckNumbers(given.velocity, 2 * scene.num_bodies());

@@ -8,9 +8,9 @@
 namespace saltus {
 
 const std::vector<SolverEntry>& AllSolvers() {
-  static const std::vector<SolverEntry>& solvers =
-      *new std::vector<SolverEntry>{{.name = "gd", .summary = "", .why_not = nullptr, .solve = nullptr},
-                                    {.name = "ceres_lm", .summary = "", .why_not = nullptr, .solve = nullptr}};
+  static const std::vector<SolverEntry>& solvers = *new std::vector<SolverEntry>{
+      {.name = "gd", .summary = "", .reason_not_applicable = nullptr, .solve = nullptr},
+      {.name = "ceres_lm", .summary = "", .reason_not_applicable = nullptr, .solve = nullptr}};
   return solvers;
 }
 
@@ -19,7 +19,7 @@ const std::vector<HybridSolverEntry>& HybridSolvers() {
   return solvers;
 }
 
-std::string WhyNotValid(const SearchOptions&) { return ""; }
+std::string Validate(const SearchOptions&) { return ""; }
 
 void ApplySceneFlags(Scene*) {}
 

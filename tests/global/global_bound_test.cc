@@ -133,7 +133,7 @@ TEST(Relaxation, HalvesAreBoundedNoLowerThanTheWhole) {
     ImpactBox box;
     box.sequence = {{0, 1, false}};
     box.repeated = {false};
-    box.quarters = {random.Below(4)};
+    box.quarters = {random.UniformIndex(4)};
     box.open = i % 2 == 0;
     for (const double range : {0.5, kLargestTau}) box.low.push_back(range * random.Unit());
     for (const double low : box.low) box.high.push_back(low + 0.1 + 0.2 * random.Unit());
@@ -469,7 +469,7 @@ TEST(Relaxation, IsBelowTheLossOfEveryMotion) {
   for (int number = 0; number < kScenes; ++number) {
     const Scene scene = SmallProblem(&random);
     if (Validate(scene)) continue;
-    ASSERT_EQ(WhyNotBounded(scene), "");
+    ASSERT_EQ(UnsupportedByGlobalBound(scene), "");
     const Relaxation relaxation(scene);
     for (int k = 0; k < kControls; ++k) {
       const double strength = 10 * random.Unit();
@@ -535,21 +535,21 @@ TEST(Relaxation, IsBelowTheLossOfEveryMotion) {
 
 TEST(GlobalBound, RefusesWhatItDoesNotSupport) {
   Scene scene = ProblemScene("two_balls");
-  EXPECT_EQ(WhyNotBounded(scene), "");
+  EXPECT_EQ(UnsupportedByGlobalBound(scene), "");
   scene.contact.friction = 0.1;
-  EXPECT_NE(WhyNotBounded(scene).find("friction"), std::string::npos);
+  EXPECT_NE(UnsupportedByGlobalBound(scene).find("friction"), std::string::npos);
   scene.contact.friction = 0;
   scene.objective.effort = 0;
-  EXPECT_NE(WhyNotBounded(scene).find("effort"), std::string::npos);
+  EXPECT_NE(UnsupportedByGlobalBound(scene).find("effort"), std::string::npos);
   scene.objective.effort = 0.1;
   scene.objective.terminal[0].component = 0;
-  EXPECT_NE(WhyNotBounded(scene).find("linear"), std::string::npos);
+  EXPECT_NE(UnsupportedByGlobalBound(scene).find("linear"), std::string::npos);
   scene = ProblemScene("two_balls");
   scene.optimize = Optimize::kNone;
-  EXPECT_NE(WhyNotBounded(scene).find("control"), std::string::npos);
+  EXPECT_NE(UnsupportedByGlobalBound(scene).find("control"), std::string::npos);
   scene = ProblemScene("two_balls");
   scene.bodies[0].inertia.kind = Inertia::Kind::kSolid;
-  EXPECT_NE(WhyNotBounded(scene).find("spin"), std::string::npos);
+  EXPECT_NE(UnsupportedByGlobalBound(scene).find("spin"), std::string::npos);
 }
 
 }  // namespace

@@ -101,7 +101,7 @@ TEST(TaylorModel, EnclosesTheFunctionInTheBox) {
     EXPECT_LE(sample.model.error, 20 * std::pow(sample.width, 3) + 1e-13);
     for (int k = 0; k < 30; ++k) {
       std::array<long double, 3> x;
-      for (long double& part : x) part = k < 8 ? (random.Below(2) == 0 ? -1 : 1) : random.Symmetric();
+      for (long double& part : x) part = k < 8 ? (random.UniformIndex(2) == 0 ? -1 : 1) : random.Symmetric();
       EXPECT_LE(std::abs(sample.At(x) - sample.Polynomial(x)), sample.model.error) << sample.width;
     }
   }
@@ -124,7 +124,7 @@ TEST(TaylorModel, IsBoundedInPartsOfTheBox) {
     for (int k = 0; k < 200; ++k) {
       std::array<long double, 3> x;
       for (int j = 0; j < 3; ++j) {
-        const double at = k < 50 ? random.Below(2) : random.Unit();
+        const double at = k < 50 ? random.UniformIndex(2) : random.Unit();
         x[j] = part.low[j] + at * (part.high[j] - part.low[j]);
       }
       least = std::min(least, sample.At(x));

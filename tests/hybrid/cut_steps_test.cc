@@ -52,12 +52,12 @@ TEST(CutSteps, AShortStretchBetweenTwoEventsCountsInTheError) {
     HybridSimulator simulator{HybridSystem(Growth())};
     ASSERT_TRUE(
         simulator.Rollout({.initial = {exact.from}, .parameters = {begin, exact.rate, exact.end}, .duration = 1}))
-        << simulator.WhyFailed();
+        << simulator.FailureReason();
     ASSERT_EQ(simulator.events().size(), 2u);
     EXPECT_NEAR(simulator.events()[1].time, begin + length, 1.2e-12) << i;
     EXPECT_NEAR(simulator.final_state()[0], exact.Final(1), 1.2e-12) << i;
     EXPECT_LE(simulator.IntegrationError(), 1e-12) << i;
-    EXPECT_EQ(simulator.WhyInaccurate(), "") << i;
+    EXPECT_EQ(simulator.ReasonInaccurate(), "") << i;
   }
 }
 
@@ -69,12 +69,12 @@ TEST(CutSteps, TheErrorOfGivenStepsIsReported) {
       const GrowthByHand exact{0.505, 100 * std::log(9 * end / (1 - end)) / std::log(6.0), end};
       HybridSimulator simulator{HybridSystem(Growth()), {.steps_per_interval = steps}};
       const HybridInput input{.initial = {exact.from}, .parameters = {exact.begin, exact.rate, end}, .duration = 1};
-      ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+      ASSERT_TRUE(simulator.Rollout(input)) << simulator.FailureReason();
       const double error = std::abs(simulator.events()[1].time - exact.begin - exact.Length());
       ASSERT_GT(error, 1e-8);
       EXPECT_GT(simulator.IntegrationError(), error);
       EXPECT_LT(simulator.IntegrationError(), 5 * error);
-      EXPECT_NE(simulator.WhyInaccurate(), "");
+      EXPECT_NE(simulator.ReasonInaccurate(), "");
     }
   }
 }
@@ -121,8 +121,8 @@ TEST(CutSteps, TimesThatDivideAnIntervalShowAPulse) {
                           .num_intervals = 3,
                           .control = {1, -2, 3},
                           .lengths = {1, 3, 1}};
-  HybridSimulator simulator{HybridSystem(Pulse()), {.divided = {0.729992, 0.730008}}};
-  ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+  HybridSimulator simulator{HybridSystem(Pulse()), {.divisions = {0.729992, 0.730008}}};
+  ASSERT_TRUE(simulator.Rollout(input)) << simulator.FailureReason();
   EXPECT_NEAR(simulator.final_state()[0], 2 - 12 + 6 + std::sqrt(M_PI), 1e-10);
   EXPECT_LT(simulator.num_steps(), 20000);
   EXPECT_EQ(simulator.ModeAt(2), 0);

@@ -60,9 +60,9 @@ class SceneAsHybridProblem : public testing::TestWithParam<SceneCase> {};
 // form.
 TEST_P(SceneAsHybridProblem, HasTheLossAndTheGradientOfTheModelEvent) {
   const Scene& scene = GetParam().scene;
-  ASSERT_EQ(WhyNoHybridProblem(scene), "");
-  const HybridProblem problem = HybridProblemOf(scene);
-  ASSERT_EQ(WhatIsWrongWith(problem), "");
+  ASSERT_EQ(UnsupportedByHybridProblem(scene), "");
+  const HybridProblem problem = MakeHybridProblem(scene);
+  ASSERT_EQ(Validate(problem), "");
   HybridShooting hybrid(problem);
   std::vector<double> z = hybrid.initial_guess();
   const size_t steered = z.size() - problem.free.duration;
@@ -78,7 +78,7 @@ TEST_P(SceneAsHybridProblem, HasTheLossAndTheGradientOfTheModelEvent) {
   };
   double loss = 0;
   std::vector<double> gradient(z.size());
-  ASSERT_TRUE(hybrid.Evaluate(z, &loss, gradient.data())) << hybrid.WhyFailed();
+  ASSERT_TRUE(hybrid.Evaluate(z, &loss, gradient.data())) << hybrid.FailureReason();
   EXPECT_NEAR(loss, exact_loss(z), 1e-11 * std::max(1.0, std::abs(loss)));
   double largest = 0;
   for (const double by : gradient) largest = std::max(largest, std::abs(by));
@@ -106,7 +106,7 @@ TEST_P(SceneAsHybridProblem, HasTheLossAndTheGradientOfTheModelEvent) {
 
 // Each part moves as it does in the whole state, where its motion depends on no other part.
 TEST_P(SceneAsHybridProblem, HasPartsThatMoveAsInTheWholeState) {
-  const HybridProblem problem = HybridProblemOf(GetParam().scene);
+  const HybridProblem problem = MakeHybridProblem(GetParam().scene);
   const HybridFunctions& functions = problem.system.functions();
   const std::vector<StatePart> parts = functions.Parts(0);
   const int n = functions.state_size(0), m = functions.layout().num_controls, columns = n + 1 + m;
@@ -174,7 +174,7 @@ PlacedPoint PointBeside(const Scene& scene, const HybridProblem& problem, int se
 TEST_P(SceneAsHybridProblem, KnowsWherePairsComeNearestInAStep) {
   Scene scene = GetParam().scene;
   scene.objective.running.clear();
-  const HybridProblem problem = HybridProblemOf(scene);
+  const HybridProblem problem = MakeHybridProblem(scene);
   const HybridFunctions& functions = problem.system.functions();
   const int n = functions.state_size(0), m = functions.layout().num_controls;
   const int pairs = static_cast<int>(AllPairs(scene).size());
@@ -229,7 +229,7 @@ TEST_P(SceneAsHybridProblem, KnowsWherePairsComeNearestInAStep) {
 // says, and the row of a regime says whether the law does.
 TEST_P(SceneAsHybridProblem, KnowsWhatItsEventsRequire) {
   const Scene& scene = GetParam().scene;
-  const HybridProblem problem = HybridProblemOf(scene);
+  const HybridProblem problem = MakeHybridProblem(scene);
   const HybridFunctions& functions = problem.system.functions();
   const int n = functions.state_size(0);
   const ContactSequence pairs = AllPairs(scene);
@@ -343,7 +343,7 @@ TEST(DiscsAsHybridSystem, HaveTheOptimumOfTheModelEvent) {
   Scene scene = ProblemScene("two_balls");
   scene.steps = 40;
   const SolveReport discs = Solve("ceres_phases", {scene, "event"}, {});
-  const SolveReport user = Solve("ceres_phases", HybridProblemOf(scene), {});
+  const SolveReport user = Solve("ceres_phases", MakeHybridProblem(scene), {});
   ASSERT_EQ(discs.termination, Termination::kConverged) << discs.reason;
   ASSERT_EQ(user.termination, Termination::kConverged) << user.reason;
   EXPECT_NEAR(user.guess.loss, discs.guess.loss, 1e-12);
@@ -366,7 +366,7 @@ TEST(DiscsAsHybridSystem, HaveTheOptimumOfTheModelEvent) {
 TEST(DiscsAsHybridSystem, HaveTheCertificateOfTheModelEvent) {
   Scene scene = ProblemScene("two_balls");
   scene.steps = 40;
-  const HybridProblem problem = HybridProblemOf(scene);
+  const HybridProblem problem = MakeHybridProblem(scene);
   const DiagonalOptimum optimum = OptimumOnTheDiagonal(27, 13);
   const Certificate expected = Certify(scene, InitialState(scene), optimum.control, optimum.lengths);
   HybridInput input = problem.guess;
@@ -402,11 +402,11 @@ TEST(DiscsAsHybridSystem, HaveNoMotionBehindATouchThatIsForbidden) {
   for (const NoContact apart : {NoContact{0, 1}, NoContact{1, 0}}) {
     Scene scene = With(ProblemScene("two_balls"), 24);
     scene.no_contact = {apart};
-    HybridShooting hybrid(HybridProblemOf(scene));
+    HybridShooting hybrid(MakeHybridProblem(scene));
     double loss = 0;
     EXPECT_FALSE(hybrid.Evaluate(hybrid.initial_guess(), &loss, nullptr));
-    EXPECT_NE(hybrid.WhyFailed().find("striker-target touch, which must not (no_contact)"), std::string::npos)
-        << hybrid.WhyFailed();
+    EXPECT_NE(hybrid.FailureReason().find("striker-target touch, which must not (no_contact)"), std::string::npos)
+        << hybrid.FailureReason();
   }
 }
 
@@ -417,26 +417,26 @@ TEST(DiscsAsHybridSystem, HaveGoalRegions) {
   TerminalTerm goal{.body = 1, .hard = true};
   goal.region = TerminalTerm::Region{.min = {-0.3, -0.2}, .max = {0.1, 0.1}};
   scene.objective.terminal = {goal};
-  scene.objective.limits = {{.body = 1, .max = kMost, .at = SpeedLimit::At::kEnd}};
+  scene.objective.limits = {{.body = 1, .max = kMost, .at = SpeedLimit::Timing::kEnd}};
   scene.duration = 1.5;
   const SolveReport discs = Solve("ceres_phases", {scene, "event"}, {});
   ASSERT_EQ(discs.termination, Termination::kConverged) << discs.reason;
   // The conditions of both are those of one optimum.
-  const HybridProblem problem = HybridProblemOf(scene);
+  const HybridProblem problem = MakeHybridProblem(scene);
   HybridInput input = problem.guess;
   input.control = discs.solution.control;
   input.lengths = discs.solution.durations;
   HybridShooting hybrid(problem);
   HybridShooting::Outcome outcome;
-  ASSERT_TRUE(hybrid.Simulate(input, &outcome)) << hybrid.WhyFailed();
+  ASSERT_TRUE(hybrid.Simulate(input, &outcome)) << hybrid.FailureReason();
   EXPECT_NEAR(outcome.loss, discs.solution.loss, 1e-11);
   EXPECT_LT(outcome.violation, 1e-8);
   const Certificate found = Certify(problem, input);
   EXPECT_TRUE(found.IsStationary()) << found.reason;
   const SolveReport user = Solve("ceres_phases", problem, {});
   EXPECT_EQ(user.termination, Termination::kConverged) << user.reason;
-  scene.objective.limits[0].at = SpeedLimit::At::kAlways;
-  EXPECT_EQ(WhyNoHybridProblem(scene), "");
+  scene.objective.limits[0].at = SpeedLimit::Timing::kAlways;
+  EXPECT_EQ(UnsupportedByHybridProblem(scene), "");
 }
 
 // The guess has no impact, and the best motion without one just touches the ground: the solve goes on with an impact.
@@ -447,7 +447,7 @@ TEST(DiscsAsHybridSystem, GoOnThroughATouch) {
   const SolveReport arcs =
       Solve("ceres_event", {scene, "event"}, {.sequences = {.given = ContactSequence{{0, 0, true}}}});
   ASSERT_EQ(arcs.termination, Termination::kConverged) << arcs.reason;
-  const SolveReport user = Solve("ceres_phases", HybridProblemOf(scene), {});
+  const SolveReport user = Solve("ceres_phases", MakeHybridProblem(scene), {});
   EXPECT_EQ(user.termination, Termination::kConverged) << user.reason;
   EXPECT_NEAR(user.solution.loss, arcs.solution.loss, 1e-4 * arcs.solution.loss);  // with other shares of the intervals
   ASSERT_TRUE(user.certificate);
@@ -463,28 +463,28 @@ TEST(DiscsAsHybridSystem, HaveAnOptimumWithoutForces) {
   scene.bodies[1].position = {50, 50};
   scene.objective.terminal[0].target = {50, 51};
   const SolveReport discs = Solve("ceres_phases", {scene, "event"}, {});
-  const SolveReport user = Solve("ceres_phases", HybridProblemOf(scene), {});
+  const SolveReport user = Solve("ceres_phases", MakeHybridProblem(scene), {});
   EXPECT_EQ(user.termination, Termination::kConverged) << user.reason;
   EXPECT_NEAR(user.solution.loss, discs.solution.loss, 1e-12);
-  HybridInput input = HybridProblemOf(scene).guess;
+  HybridInput input = MakeHybridProblem(scene).guess;
   for (const double size : {0.0, 1e-12, 1e-9}) {
     for (size_t i = 0; i < input.control.size(); ++i) {
       input.control[i] = size * std::sin(1.7 * static_cast<double>(i));
     }
-    const Certificate found = Certify(HybridProblemOf(scene), input);
+    const Certificate found = Certify(MakeHybridProblem(scene), input);
     EXPECT_EQ(found.verdict, Certificate::Verdict::kStationary) << size << " " << found.reason;
     ASSERT_TRUE(found.curvature) << size;
     EXPECT_EQ(found.curvature->kind, Curvature::Kind::kMinimum) << size;
   }
   // A force that matters is none, however small it is beside the loss.
   std::ranges::fill(input.control, 1e-3);
-  EXPECT_EQ(Certify(HybridProblemOf(scene), input).verdict, Certificate::Verdict::kNotStationary);
+  EXPECT_EQ(Certify(MakeHybridProblem(scene), input).verdict, Certificate::Verdict::kNotStationary);
   // Nor is no force where it would change the loss.
   scene.bodies[1].position = {-1, -1};
   scene.objective.terminal[0].body = 0;
   std::ranges::fill(input.control, 0);
   input.initial = InitialState(scene);
-  EXPECT_EQ(Certify(HybridProblemOf(scene), input).verdict, Certificate::Verdict::kNotStationary);
+  EXPECT_EQ(Certify(MakeHybridProblem(scene), input).verdict, Certificate::Verdict::kNotStationary);
 }
 
 }  // namespace

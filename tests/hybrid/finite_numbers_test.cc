@@ -107,9 +107,9 @@ TEST(FiniteNumbers, EverySolverAndCertificateNamesTheDerivativeThatIsNone) {
     HybridShooting shooting(problem);
     double loss = 0;
     std::vector<double> gradient(shooting.num_variables());
-    EXPECT_TRUE(shooting.Evaluate(shooting.initial_guess(), &loss, nullptr)) << shooting.WhyFailed();
+    EXPECT_TRUE(shooting.Evaluate(shooting.initial_guess(), &loss, nullptr)) << shooting.FailureReason();
     EXPECT_FALSE(shooting.Evaluate(shooting.initial_guess(), &loss, gradient.data()));
-    EXPECT_THAT(shooting.WhyFailed(), HasSubstr(message));
+    EXPECT_THAT(shooting.FailureReason(), HasSubstr(message));
   }
 }
 
@@ -117,17 +117,17 @@ TEST(FiniteNumbers, MotionsAndFiltersSayWhichDerivativeIsNone) {
   for (const auto& [kind, message] : kCases) {
     const HybridProblem problem = ProblemOf(kind);
     HybridSimulator simulator(problem.system, problem.integration);
-    ASSERT_TRUE(simulator.Rollout(problem.guess)) << simulator.WhyFailed();
-    EXPECT_EQ(simulator.WhyNotFinite(), "");
+    ASSERT_TRUE(simulator.Rollout(problem.guess)) << simulator.FailureReason();
+    EXPECT_EQ(simulator.ReasonNotFinite(), "");
     simulator.Sensitivity();
-    EXPECT_EQ(simulator.WhyNotFinite(), message);
-    EXPECT_THAT(simulator.WhyNotDifferentiable(), HasSubstr(message));
+    EXPECT_EQ(simulator.ReasonNotFinite(), message);
+    EXPECT_THAT(simulator.ReasonNotDifferentiable(), HasSubstr(message));
     if (kind != Kinked::kHypot && kind != Kinked::kRoot) continue;
     Linearize(simulator, problem.guess);
-    EXPECT_EQ(simulator.WhyNotFinite(), message);
+    EXPECT_EQ(simulator.ReasonNotFinite(), message);
     SaltedKalmanFilter filter(problem.system, {0.0}, 0, 0, Eigen::Vector2d::Zero(), Eigen::Matrix2d::Identity());
     EXPECT_FALSE(filter.Predict(1));
-    EXPECT_THAT(filter.WhyFailed(), HasSubstr(message));
+    EXPECT_THAT(filter.FailureReason(), HasSubstr(message));
   }
 }
 
@@ -165,9 +165,9 @@ TEST(FiniteNumbers, DragHasTheDerivativesOfItsLimitAtRest) {
     HybridSimulator simulator{MakeHybridSystem(Dragged())};
     ASSERT_TRUE(
         simulator.Rollout({.initial = {0, 0, wind, 0}, .parameters = {g, c, wind}, .duration = 1, .control = {0}}))
-        << simulator.WhyFailed();
+        << simulator.FailureReason();
     const HybridSensitivity found = simulator.Sensitivity();
-    EXPECT_EQ(simulator.WhyNotDifferentiable(), "");
+    EXPECT_EQ(simulator.ReasonNotDifferentiable(), "");
     Eigen::Matrix4d by_initial;
     const double swept = std::atan(std::sinh(r)) / r;
     by_initial << 1, 0, swept, 0, 0, 1, 0, std::tanh(r) / r, 0, 0, 1 / std::cosh(r), 0, 0, 0, 0, squared;

@@ -156,7 +156,7 @@ HybridProblem BallInContinuousTime(const std::vector<double>& forces) {
   }
   for (int mode = 0; mode < 3; ++mode) {
     HybridTerm effort{.name = "effort",
-                      .at = HybridTerm::At::kEachInterval,
+                      .at = HybridTerm::Timing::kEachInterval,
                       .mode = mode,
                       .with_parameters = true,
                       .with_time = true,
@@ -812,7 +812,7 @@ TEST(HybridPhases, FindTheStartOfTheSwitchedLine) {
   by_intervals.guess.num_intervals = 20;
   for (const int mode : {0, 1}) {
     HybridTerm square{.name = "integral of x^2",
-                      .at = HybridTerm::At::kEachInterval,
+                      .at = HybridTerm::Timing::kEachInterval,
                       .mode = mode,
                       .with_state = true,
                       .with_length = true};

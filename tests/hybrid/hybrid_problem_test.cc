@@ -59,7 +59,7 @@ HybridProblem BallWithAllKindsOfTerms() {
                    MakeEffortCost(0.1, 1),
                    MakeDurationCost(0.4)};
   HybridTerm events{.name = "events",
-                    .at = HybridTerm::At::kEvent,
+                    .at = HybridTerm::Timing::kEvent,
                     .mode = 0,
                     .event = "ground",
                     .with_state = true,
@@ -70,7 +70,7 @@ HybridProblem BallWithAllKindsOfTerms() {
   events.before = true;
   problem.terms.push_back(events);
   HybridTerm intervals{.name = "intervals",
-                       .at = HybridTerm::At::kEachInterval,
+                       .at = HybridTerm::Timing::kEachInterval,
                        .with_state = true,
                        .with_control = true,
                        .with_parameters = true,
@@ -87,7 +87,7 @@ TEST(HybridShooting, GradientAgreesWithDifferences) {
   ASSERT_EQ(shooting.num_variables(), 12);
   std::vector<double> z = shooting.initial_guess(), gradient(12);
   double loss = 0;
-  ASSERT_TRUE(shooting.Evaluate(z, &loss, gradient.data())) << shooting.WhyFailed();
+  ASSERT_TRUE(shooting.Evaluate(z, &loss, gradient.data())) << shooting.FailureReason();
   EXPECT_EQ(shooting.simulator().events().size(), 2u);
   for (int i = 0; i < 12; ++i) {
     const double width = 1e-3, at = z[i];
@@ -107,7 +107,7 @@ TEST(HybridShooting, GradientAgreesWithDifferences) {
 TEST(HybridShooting, ResidualsAgreeWithTheLoss) {
   HybridProblem problem = BallWithAllKindsOfTerms();
   for (HybridTerm& term : problem.terms) {
-    if (term.at == HybridTerm::At::kEvent) term.occurrence = term.before ? 0 : 1;
+    if (term.at == HybridTerm::Timing::kEvent) term.occurrence = term.before ? 0 : 1;
   }
   HybridShooting shooting(problem);
   const int rows = shooting.num_residuals(), columns = shooting.num_variables();
@@ -166,7 +166,7 @@ TEST(HybridShooting, RowsAgreeWithDifferences) {
                         .terms = {MakeTerminalCost(0, 1.0, 3.0, 2), MakeEffortCost(0.1, 6)}};
   for (size_t i = 0; i < problem.guess.control.size(); ++i) problem.guess.control[i] += 0.1 * std::sin(1.0 + i);
   HybridTerm intervals{
-      .name = "intervals", .at = HybridTerm::At::kEachInterval, .with_state = true, .with_length = true};
+      .name = "intervals", .at = HybridTerm::Timing::kEachInterval, .with_state = true, .with_length = true};
   intervals.function = std::make_shared<ceres::AutoDiffCostFunction<HeightTimesSpeed, 1, 2, 1>>(new HeightTimesSpeed);
   problem.terms.push_back(intervals);
   problem.free = {.control = true, .initial = {1, 0}, .parameters = {0}, .duration = true};
@@ -174,7 +174,7 @@ TEST(HybridShooting, RowsAgreeWithDifferences) {
   const int rows = shooting.num_residuals(), columns = shooting.num_variables();
   ASSERT_EQ(rows, 1 + 6 * kIntervals + kIntervals);
   std::vector<double> z = shooting.initial_guess(), residuals(rows), jacobian(rows * columns);
-  ASSERT_TRUE(shooting.EvaluateResiduals(z, residuals.data(), jacobian.data())) << shooting.WhyFailed();
+  ASSERT_TRUE(shooting.EvaluateResiduals(z, residuals.data(), jacobian.data())) << shooting.FailureReason();
   EXPECT_EQ(shooting.simulator().events().size(), 1u);
   for (int j = 0; j < columns; ++j) {
     constexpr double kWidth = 1e-3;
@@ -339,16 +339,17 @@ TEST(HybridShooting, AMotionWithoutTheEventOfATermHasNoLoss) {
   HybridShooting shooting(problem);
   double loss = 0;
   EXPECT_FALSE(shooting.Evaluate(shooting.initial_guess(), &loss, nullptr));
-  EXPECT_THAT(shooting.WhyFailed(), HasSubstr("events: found 2 events 'ground' in the motion, expected at least 3"));
+  EXPECT_THAT(shooting.FailureReason(),
+              HasSubstr("events: found 2 events 'ground' in the motion, expected at least 3"));
 }
 
 TEST(HybridProblem, SaysWhatIsWrong) {
   const HybridProblem right = BallWithAllKindsOfTerms();
-  EXPECT_EQ(WhatIsWrongWith(right), "");
+  EXPECT_EQ(Validate(right), "");
   const auto with = [&](auto change) {
     HybridProblem problem = right;
     change(&problem);
-    return WhatIsWrongWith(problem);
+    return Validate(problem);
   };
   EXPECT_EQ(with([](HybridProblem* p) { p->terms[0].function = nullptr; }),
             "terminal cost of component 0: found no function");

@@ -67,7 +67,7 @@ struct Motion {
   Motion(HybridSystem system, HybridInput in)
       : input(std::move(in)), simulator(std::move(system), {.tolerance = 1e-14}) {
     ok = simulator.Rollout(input);
-    EXPECT_TRUE(ok) << simulator.WhyFailed();
+    EXPECT_TRUE(ok) << simulator.FailureReason();
     if (!ok) return;
     EXPECT_LE(simulator.IntegrationError(), 1e-11);
     sensitivity = simulator.Sensitivity();

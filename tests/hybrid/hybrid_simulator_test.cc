@@ -74,7 +74,7 @@ TEST(HybridSimulator, GrazingIsReportedAndPassed) {
     EXPECT_THAT(simulator.events(), IsEmpty()) << steps;
     ASSERT_EQ(simulator.grazings().size(), 1u) << steps;
     EXPECT_NEAR(simulator.grazings()[0].time, 0.5, 1e-7);
-    EXPECT_THAT(simulator.WhyNotDifferentiable(), HasSubstr("grazes zero at t = 0.5"));
+    EXPECT_THAT(simulator.ReasonNotDifferentiable(), HasSubstr("grazes zero at t = 0.5"));
     ExpectNumbers(simulator.final_state(), {4 * 0.8 - 4 * 0.64, 4 - 8 * 0.8}, 1e-14);
   }
 }
@@ -110,7 +110,7 @@ TEST(HybridSimulator, NearGrazing) {
       ExpectNumbers(simulator.final_state(), {c.y, c.v}, tolerance);
       EXPECT_NEAR(simulator.Adjoint(std::vector<double>{1, 0}).initial[1], c.by_y, tolerance * std::abs(c.by_y));
       EXPECT_NEAR(simulator.Adjoint(std::vector<double>{0, 1}).initial[1], c.by_v, tolerance * std::abs(c.by_v));
-      EXPECT_EQ(simulator.WhyNotDifferentiable(), "");
+      EXPECT_EQ(simulator.ReasonNotDifferentiable(), "");
     }
   }
 }
@@ -120,8 +120,8 @@ TEST(HybridSimulator, AccumulatingEventsAreReported) {
   EXPECT_FALSE(simulator.Rollout({.initial = {1, 0}, .parameters = {9.8, 0.5}, .duration = 2}));
   ASSERT_TRUE(simulator.accumulation());
   EXPECT_NEAR(*simulator.accumulation(), 1.3552618543578768566, 1e-14);
-  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("accumulate (Zeno behaviour) at about t = 1.3552618543578"));
-  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("guard 'ground' in mode 'flight'"));
+  EXPECT_THAT(simulator.FailureReason(), HasSubstr("accumulate (Zeno behaviour) at about t = 1.3552618543578"));
+  EXPECT_THAT(simulator.FailureReason(), HasSubstr("guard 'ground' in mode 'flight'"));
   ASSERT_GE(simulator.events().size(), 20u);
   EXPECT_NEAR(simulator.events()[0].time, 0.45175395145262562, 1e-14);
   EXPECT_NEAR(simulator.events()[1].time, 0.90350790290525124, 1e-14);
@@ -176,11 +176,11 @@ TEST(HybridSimulator, AGuardThatFallsThroughAFlatZeroHasAnEvent) {
     for (const int steps : {0, 1, 7, 8, 10, 100}) {
       SCOPED_TRACE(testing::Message() << "power " << power << ", " << steps << " steps");
       HybridSimulator simulator(HybridSystem(FlatCrossing{power}), {.steps_per_interval = steps});
-      ASSERT_TRUE(simulator.Rollout({.initial = {0, 0}, .duration = 1})) << simulator.WhyFailed();
+      ASSERT_TRUE(simulator.Rollout({.initial = {0, 0}, .duration = 1})) << simulator.FailureReason();
       const bool crosses = power % 2 == 1;
       ASSERT_EQ(simulator.events().size(), crosses ? 1u : 0u);
       EXPECT_NEAR(simulator.final_state()[1], crosses ? 0.5 : 0.0, 1e-9);
-      const std::string remark = simulator.WhyNotDifferentiable();
+      const std::string remark = simulator.ReasonNotDifferentiable();
       EXPECT_EQ(remark.find("returns") != std::string::npos, !crosses) << remark;
     }
   }
@@ -217,7 +217,7 @@ struct BallThatComesToRest {
 TEST(HybridSimulator, AMotionGoesOnWhereEventsAccumulateIfTheSystemSaysHow) {
   const HybridInput input{.initial = {1, 0, 0}, .parameters = {9.8, 0.5}, .duration = 2};
   HybridSimulator simulator{HybridSystem(BallThatComesToRest())};
-  ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+  ASSERT_TRUE(simulator.Rollout(input)) << simulator.FailureReason();
   constexpr double kAccumulated = 1.3552618543578768566;
   ASSERT_TRUE(simulator.accumulation());
   EXPECT_NEAR(*simulator.accumulation(), kAccumulated, 1e-14);
@@ -238,7 +238,7 @@ TEST(HybridSimulator, AMotionGoesOnWhereEventsAccumulateIfTheSystemSaysHow) {
 
   HybridSimulator other{HybridSystem(BallThatComesToRest{.mode_at_rest = 2})};
   EXPECT_FALSE(other.Rollout(input));
-  EXPECT_THAT(other.WhyFailed(), HasSubstr("names mode 2, expected one with states of the same size"));
+  EXPECT_THAT(other.FailureReason(), HasSubstr("names mode 2, expected one with states of the same size"));
 }
 
 // A mass between a spring and its free flight, with drag and a force that depends on time: [y v]; p = [spring, drag,
@@ -288,7 +288,7 @@ TEST(HybridSimulator, AClosedFormOfTheFlowTakesThePlaceOfTheIntegration) {
                     .control = {-0.8, -1.1, -0.9, -1.3}};
   input.begin = 0.3;
   HybridSimulator closed{HybridSystem(SprungMass<true>())}, integrated{HybridSystem(SprungMass<false>())};
-  ASSERT_TRUE(closed.Rollout(input)) << closed.WhyFailed();
+  ASSERT_TRUE(closed.Rollout(input)) << closed.FailureReason();
   ASSERT_TRUE(integrated.Rollout(input));
   ASSERT_EQ(closed.events().size(), 2u);
   ASSERT_EQ(closed.events().size(), integrated.events().size());
@@ -316,7 +316,7 @@ TEST(HybridSimulator, AClosedFormOfTheFlowTakesThePlaceOfTheIntegration) {
 TEST(HybridSimulator, AClosedFormOfAnotherFlowIsRefused) {
   HybridSimulator simulator(HybridSystem(SprungMass<true>{.error = 1e-3}));
   EXPECT_FALSE(simulator.Rollout({.initial = {2, 0.3}, .parameters = {9, 0.2, 1.7}, .duration = 1}));
-  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("Fly is no closed form of the flow of mode 'mode 0'"));
+  EXPECT_THAT(simulator.FailureReason(), HasSubstr("Fly is no closed form of the flow of mode 'mode 0'"));
 }
 
 TEST(HybridSimulator, ManyEventsBeforeTheyAccumulateAreRegular) {
@@ -333,7 +333,7 @@ TEST(HybridSimulator, ManyEventsBeforeTheyAccumulateAreRegular) {
   }
   // A guard that rises by less than 1e-9 of its rate within a step counts as one that does not rise.
   EXPECT_FALSE(simulator.Rollout({.initial = {1, 0}, .parameters = {9.8, 0.5}, .duration = 1.3552618543566}));
-  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("events without time passing (Zeno behaviour)"));
+  EXPECT_THAT(simulator.FailureReason(), HasSubstr("events without time passing (Zeno behaviour)"));
 }
 
 // A point in a corner or a wedge of two walls, without friction: [x y vx vy]. p = [].
@@ -372,10 +372,10 @@ TEST(HybridSimulator, ImpactsAtOnceThatDoNotDependOnTheirOrder) {
   HybridSimulator simulator{HybridSystem(Walls())};
   ASSERT_TRUE(simulator.Rollout({.initial = {1, 1, -1, -1}, .duration = 2}));
   ASSERT_EQ(simulator.events().size(), 2u);
-  EXPECT_TRUE(simulator.events()[1].at_once);
+  EXPECT_TRUE(simulator.events()[1].immediate);
   ASSERT_EQ(simulator.ties().size(), 1u);
   EXPECT_FALSE(simulator.ties()[0].ambiguous);
-  EXPECT_EQ(simulator.WhyNotDifferentiable(), "");
+  EXPECT_EQ(simulator.ReasonNotDifferentiable(), "");
   ExpectNumbers(simulator.final_state(), {0.8, 0.8, 0.8, 0.8}, 1e-14);
   ExpectNumbers(simulator.Adjoint(std::vector<double>{1, 0, 0, 0}).initial, {-0.8, 0, -1.6, 0}, 1e-13);
   ExpectNumbers(simulator.Adjoint(std::vector<double>{0, 0, 1, 0}).initial, {0, 0, -0.8, 0}, 1e-13);
@@ -391,7 +391,7 @@ TEST(HybridSimulator, ImpactsAtOnceWhoseOrderMatters) {
   EXPECT_EQ(tie.guards, (std::vector{0, 1}));
   EXPECT_TRUE(tie.ambiguous);
   EXPECT_NEAR(tie.spread, 0.364 - 0.3505, 1e-13) << "between n1, n2, n1 and n2, n1, n2";
-  EXPECT_THAT(simulator.WhyNotDifferentiable(), HasSubstr("2 guards reach zero at t = 1, and the order"));
+  EXPECT_THAT(simulator.ReasonNotDifferentiable(), HasSubstr("2 guards reach zero at t = 1, and the order"));
   ASSERT_EQ(simulator.events().size(), 3u);
   EXPECT_NEAR(simulator.events()[1].after[2], 0.614878036686951439, 1e-14);
   EXPECT_NEAR(simulator.events()[1].after[3], -0.455, 1e-14);
@@ -441,7 +441,7 @@ TEST(HybridSimulator, ResetBehindAGuardIsOneResetWithTheFirstGuard) {
   HybridSimulator simulator{HybridSystem(Behind())};
   ASSERT_TRUE(simulator.Rollout({.initial = {0, 1}, .duration = 2}));
   ASSERT_EQ(simulator.events().size(), 2u);
-  EXPECT_TRUE(simulator.events()[1].at_once);
+  EXPECT_TRUE(simulator.events()[1].immediate);
   EXPECT_NEAR(simulator.events()[1].time, 1, 1e-14);
   ExpectNumbers(simulator.events()[0].after, {1.15, -0.425}, 1e-14);
   ExpectNumbers(simulator.events()[1].after, {1.25, 0.85}, 1e-14);
@@ -450,14 +450,14 @@ TEST(HybridSimulator, ResetBehindAGuardIsOneResetWithTheFirstGuard) {
       simulator.Adjoint(std::vector<double>{1, 0}).initial, {-0.301168678939756789, 0.201062488400268047}, 1e-12);
   ExpectNumbers(
       simulator.Adjoint(std::vector<double>{0, 1}).initial, {-1.38177329067603622, -0.405677058456960414}, 1e-12);
-  EXPECT_EQ(simulator.WhyNotDifferentiable(), "");
+  EXPECT_EQ(simulator.ReasonNotDifferentiable(), "");
 }
 
 TEST(HybridSimulator, ResetOntoAGuardIsReported) {
   HybridSimulator simulator{HybridSystem(Behind{.margin = 0.425})};
   ASSERT_TRUE(simulator.Rollout({.initial = {0, 1}, .duration = 2}));
   EXPECT_EQ(simulator.events().size(), 2u);
-  EXPECT_THAT(simulator.WhyNotDifferentiable(), HasSubstr("leads onto guard 'guard 0'"));
+  EXPECT_THAT(simulator.ReasonNotDifferentiable(), HasSubstr("leads onto guard 'guard 0'"));
 }
 
 // An interval that is shorter than rounding errors of the time has steps, too.
@@ -465,10 +465,10 @@ TEST(HybridSimulator, AnIntervalMayBeShorterThanRounding) {
   HybridSimulator with{HybridSystem(BouncingBall())}, without{HybridSystem(BouncingBall())};
   HybridInput input{.initial = {4, 0}, .parameters = {9.8, 0.7}, .duration = 1, .num_intervals = 2};
   input.lengths = {0.4, 0.6};
-  ASSERT_TRUE(without.Rollout(input)) << without.WhyFailed();
+  ASSERT_TRUE(without.Rollout(input)) << without.FailureReason();
   input.num_intervals = 4;
   input.lengths = {0.4, 1e-18, 0.6, 1e-18};
-  ASSERT_TRUE(with.Rollout(input)) << with.WhyFailed();
+  ASSERT_TRUE(with.Rollout(input)) << with.FailureReason();
   for (int i = 0; i < 2; ++i) {
     EXPECT_NEAR(with.StateAt(1)[i], without.StateAt(1)[i], 1e-12);
     EXPECT_NEAR(with.StateAt(2)[i], without.StateAt(1)[i], 1e-12);
@@ -482,7 +482,7 @@ TEST(HybridSimulator, EventAtTheFinalTimeCounts) {
   ASSERT_TRUE(simulator.Rollout({.initial = {1, 0}, .parameters = {8, 0.5}, .duration = 0.5}));
   ASSERT_EQ(simulator.events().size(), 1u);
   ExpectNumbers(simulator.final_state(), {0, 2}, 1e-14);
-  EXPECT_THAT(simulator.WhyNotDifferentiable(), HasSubstr("event at the final time"));
+  EXPECT_THAT(simulator.ReasonNotDifferentiable(), HasSubstr("event at the final time"));
   EXPECT_NEAR(simulator.Adjoint(std::vector<double>{1, 0}).initial[0], -0.5, 1e-13);
   EXPECT_NEAR(simulator.Adjoint(std::vector<double>{0, 1}).initial[0], 3, 1e-13);
   // Just before it.
@@ -503,17 +503,17 @@ TEST(HybridSimulator, EventWhereTheControlJumpsIsReported) {
   HybridInput input{.initial = {1, 0}, .parameters = {8, 0.6}, .duration = 1, .num_intervals = 2, .control = {0, 0}};
   HybridSimulator simulator = Ball();
   ASSERT_TRUE(simulator.Rollout(input));
-  EXPECT_EQ(simulator.WhyNotDifferentiable(), "");
+  EXPECT_EQ(simulator.ReasonNotDifferentiable(), "");
   input.control = {0, 1};
   ASSERT_TRUE(simulator.Rollout(input));
-  EXPECT_THAT(simulator.WhyNotDifferentiable(), HasSubstr("t = 0.5, where the control jumps"));
+  EXPECT_THAT(simulator.ReasonNotDifferentiable(), HasSubstr("t = 0.5, where the control jumps"));
 }
 
 TEST(HybridSimulator, GuardBelowZeroAtTheStart) {
   const HybridInput input{.initial = {-0.1, 3}, .parameters = {9.8, 0.7}, .duration = 1};
   HybridSimulator simulator = Ball();
   EXPECT_FALSE(simulator.Rollout(input));
-  EXPECT_EQ(simulator.WhyFailed(), "guard 'ground' is below zero (-0.1) at the start, in mode 'flight' at t = 0");
+  EXPECT_EQ(simulator.FailureReason(), "guard 'ground' is below zero (-0.1) at the start, in mode 'flight' at t = 0");
   HybridSimulator waits = Ball({.wait_behind_guards = true});
   ASSERT_TRUE(waits.Rollout(input));
   ASSERT_EQ(waits.events().size(), 2u);
@@ -533,7 +533,7 @@ TEST(HybridSimulator, GuardAtZeroAtTheStart) {
   EXPECT_EQ(simulator.events()[0].time, 0);
   ExpectNumbers(simulator.events()[0].after, {0, 0.7}, 1e-15);
   // From y0 > 0 the ball falls for y0 / 1 m/s first: dv+/dy0 = e g, and the flight behind it is that much shorter.
-  EXPECT_THAT(simulator.WhyNotDifferentiable(), HasSubstr("event at the start"));
+  EXPECT_THAT(simulator.ReasonNotDifferentiable(), HasSubstr("event at the start"));
   EXPECT_NEAR(simulator.Adjoint(std::vector<double>{1, 0}).initial[0], 0.7 * 9.8 * 0.1 - 0.7 + 9.8 * 0.1, 1e-13);
   EXPECT_NEAR(simulator.Adjoint(std::vector<double>{0, 1}).initial[0], 0.7 * 9.8 + 9.8, 1e-12);
   ASSERT_TRUE(simulator.Rollout({.initial = {0, 1}, .parameters = {9.8, 0.7}, .duration = 0.1}));
@@ -583,7 +583,7 @@ TEST(HybridSimulator, SaysWhatIsWrongWithTheFunctionsOfUsers) {
   const auto why = [](Wrong::What what) {
     HybridSimulator simulator{HybridSystem(Wrong{what})};
     EXPECT_FALSE(simulator.Rollout({.initial = {1, 0}, .duration = 1.5}));
-    return simulator.WhyFailed();
+    return simulator.FailureReason();
   };
   EXPECT_EQ(why(Wrong::kUnset), "the flow of mode 'only' at t = 0 gives no finite derivative of b");
   EXPECT_EQ(why(Wrong::kNotFinite), "the flow of mode 'only' at t = 0 gives no finite derivative of b");
@@ -596,17 +596,17 @@ TEST(HybridSimulator, SaysWhatIsWrongWithTheFunctionsOfUsers) {
   EXPECT_THAT(why(Wrong::kBlowUp), HasSubstr("mode 'only' at t = 1.00000"));
   EXPECT_THAT(why(Wrong::kNoTime), HasSubstr("more than 100 events without time passing"));
   HybridSimulator right{HybridSystem(Wrong{})};
-  EXPECT_TRUE(right.Rollout({.initial = {1, 0}, .duration = 1.5})) << right.WhyFailed();
+  EXPECT_TRUE(right.Rollout({.initial = {1, 0}, .duration = 1.5})) << right.FailureReason();
 }
 
 TEST(HybridSimulator, SaysWhatIsWrongWithAnInput) {
   const HybridSystem system{BouncingBall()};
   const HybridInput right{.initial = {1, 0}, .parameters = {9.8, 0.5}, .duration = 1};
-  EXPECT_EQ(WhatIsWrongWith(right, system), "");
+  EXPECT_EQ(Validate(right, system), "");
   const auto with = [&](auto change) {
     HybridInput input = right;
     change(&input);
-    return WhatIsWrongWith(input, system);
+    return Validate(input, system);
   };
   EXPECT_EQ(with([](HybridInput* in) { in->mode = 1; }), "found mode 1, expected 0 to 0");
   EXPECT_EQ(with([](HybridInput* in) { in->initial = {1}; }), "found 1 numbers of the initial state, expected 2");
@@ -641,8 +641,8 @@ struct Stiff {
 TEST(HybridSimulator, RefusesStiffSystems) {
   HybridSimulator simulator{HybridSystem(Stiff())};
   EXPECT_FALSE(simulator.Rollout({.initial = {1}, .duration = 1}));
-  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("may be stiff"));
-  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("mode 'mode 0' at t ="));
+  EXPECT_THAT(simulator.FailureReason(), HasSubstr("may be stiff"));
+  EXPECT_THAT(simulator.FailureReason(), HasSubstr("mode 'mode 0' at t ="));
 }
 
 }  // namespace

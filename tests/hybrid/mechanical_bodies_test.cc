@@ -111,10 +111,10 @@ void ExpectSameMotion(const Scene& scene, double tolerance, double gradient_tole
   }
   const MechanicalSystem::Start start =
       system.FindMode(input.initial, std::span(input.control).first(width), input.parameters);
-  ASSERT_GE(start.mode, 0) << start.why;
+  ASSERT_GE(start.mode, 0) << start.reason;
   input.mode = start.mode;
   HybridSimulator simulator(system.hybrid(), {.tolerance = 1e-13});
-  ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+  ASSERT_TRUE(simulator.Rollout(input)) << simulator.FailureReason();
   // Where x, y of a disc and their rates are in the states of the scene, in its initial state and in the mechanical
   // ones.
   struct Place {
@@ -212,12 +212,11 @@ TEST(RigidBodies, JointsToTheWorld) {
 }
 
 TEST(RigidBodies, WrongScenesAreReported) {
-  EXPECT_EQ(WhatIsWrongWith(RigidScene2D{.bodies = {{.name = "box", .polygon = BoxPolygon(1, 1)}}}), "");
-  EXPECT_THAT(WhatIsWrongWith(RigidScene2D{.bodies = {{.name = "box"}}}), HasSubstr("either a polygon or a radius"));
-  EXPECT_THAT(WhatIsWrongWith(RigidScene2D{.bodies = {{.polygon = {{0, 0}, {0, 1}, {1, 0}}}}}),
-              HasSubstr("not convex"));
-  EXPECT_THAT(WhatIsWrongWith(RigidScene2D{.bodies = {{.radius = 1, .mass = -1}}}), HasSubstr("mass"));
-  EXPECT_THAT(WhatIsWrongWith(RigidScene2D{.bodies = {{.radius = 1}}, .planes = {{.normal = {1, 1}}}}),
+  EXPECT_EQ(Validate(RigidScene2D{.bodies = {{.name = "box", .polygon = BoxPolygon(1, 1)}}}), "");
+  EXPECT_THAT(Validate(RigidScene2D{.bodies = {{.name = "box"}}}), HasSubstr("either a polygon or a radius"));
+  EXPECT_THAT(Validate(RigidScene2D{.bodies = {{.polygon = {{0, 0}, {0, 1}, {1, 0}}}}}), HasSubstr("not convex"));
+  EXPECT_THAT(Validate(RigidScene2D{.bodies = {{.radius = 1, .mass = -1}}}), HasSubstr("mass"));
+  EXPECT_THAT(Validate(RigidScene2D{.bodies = {{.radius = 1}}, .planes = {{.normal = {1, 1}}}}),
               HasSubstr("normal of a plane"));
 }
 
@@ -237,14 +236,14 @@ TEST(RigidBodies, CornersOfABoxStopTogether) {
     const MechanicalSystem system(scene);
     const std::vector<double> initial = scene.InitialState(), p = scene.Parameters();
     const MechanicalSystem::Start start = system.FindMode(initial, {}, p);
-    ASSERT_EQ(start.why, "") << angle;
+    ASSERT_EQ(start.reason, "") << angle;
     HybridSimulator simulator(system.hybrid(), {.steps_per_interval = 100, .most_events = 100});
     ASSERT_TRUE(simulator.Rollout({.mode = start.mode, .initial = initial, .parameters = p, .duration = 0.9})) << angle;
     ASSERT_EQ(simulator.events().size(), 1u) << angle;
     EXPECT_NEAR(simulator.events()[0].time, 0.31 / (0.24 * 9.81), 1e-12);
     const std::span<const double> last = simulator.final_state();
     EXPECT_NEAR(c * last[0] + s * last[1], 0.31 * 0.31 / (2 * 0.24 * 9.81), 1e-12);
-    EXPECT_EQ(simulator.WhyNotDifferentiable(), "");
+    EXPECT_EQ(simulator.ReasonNotDifferentiable(), "");
     const HybridGradient gradient = simulator.Adjoint(std::vector<double>{c, s, 0, 0, 0, 0});
     EXPECT_NEAR(c * gradient.initial[3] + s * gradient.initial[4], 0.31 / (0.24 * 9.81), 1e-10);
   }
@@ -322,7 +321,7 @@ TEST(RigidBodies, ACornerThatCutsACornerHits) {
     const MechanicalSystem system(bodies);
     HybridSimulator simulator(system.hybrid(), {.steps_per_interval = 12});
     const HybridInput input{.initial = bodies.InitialState(), .parameters = bodies.Parameters(), .duration = kDuration};
-    ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+    ASSERT_TRUE(simulator.Rollout(input)) << simulator.FailureReason();
     ASSERT_EQ(simulator.events().empty(), least > 0);
     (least > 0 ? misses : hits) += 1;
     if (least < 0) {

@@ -93,7 +93,7 @@ class Problem {
     const std::span<const double> u =
         std::span(input_.control.empty() ? no_control : input_.control).first(System::kNumControls);
     const MechanicalSystem::Start mode = system_.FindMode(input_.initial, u, input_.parameters);
-    EXPECT_GE(mode.mode, 0) << mode.why;
+    EXPECT_GE(mode.mode, 0) << mode.reason;
     if (mode.mode < 0) return;
     input_.mode = mode.mode;
     if (data.contains("mode")) {
@@ -101,7 +101,7 @@ class Problem {
       input_.mode = system_.Mode(data["mode"].get<std::string>());
     }
     done_ = simulator_.Rollout(input_);
-    EXPECT_TRUE(done_) << simulator_.WhyFailed();
+    EXPECT_TRUE(done_) << simulator_.FailureReason();
     if (!done_) return;
     sensitivity_ = simulator_.Sensitivity();
     report_ = system_.Examine(simulator_, input_);
@@ -442,10 +442,10 @@ HybridSimulator SimulateExample(const MechanicalSystem& system, const json& exam
   const json rows = example.value("rows", json::array());
   input.num_intervals = std::max<int>(1, static_cast<int>(rows.size()));
   const MechanicalSystem::Start start = system.FindMode(initial, {}, parameters);
-  EXPECT_GE(start.mode, 0) << start.why;
+  EXPECT_GE(start.mode, 0) << start.reason;
   input.mode = start.mode;
   HybridSimulator simulator(system.hybrid(), {.tolerance = 1e-14});
-  EXPECT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+  EXPECT_TRUE(simulator.Rollout(input)) << simulator.FailureReason();
   for (int k = 0; k < static_cast<int>(rows.size()); ++k) {
     for (int i = 0; i < static_cast<int>(rows[k].size()); ++i) {
       EXPECT_NEAR(simulator.StateAt(k + 1)[i], rows[k][i].get<double>(), tolerance) << "row " << k << ", number " << i;

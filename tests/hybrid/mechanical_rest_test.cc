@@ -68,17 +68,17 @@ BlockMotion Push(double mass, double friction, double push, double x0) {
   const std::vector<double> x{x0, 0, 0, 0}, u{push}, p{friction};
   const MechanicalSystem::Start start = system.FindMode(x, u, p);
   BlockMotion motion;
-  motion.why = start.why;
+  motion.why = start.reason;
   if (start.mode < 0) return motion;
   motion.mode = system.hybrid().ModeName(start.mode);
   HybridSimulator simulator(system.hybrid());
   if (!simulator.Rollout({.mode = start.mode, .initial = x, .parameters = p, .duration = 1, .control = u})) {
-    motion.why = simulator.WhyFailed();
+    motion.why = simulator.FailureReason();
     return motion;
   }
   motion.steps = simulator.steps_per_interval();
   motion.x = simulator.final_state()[0];
-  motion.why_no_derivative = simulator.WhyNotDifferentiable();
+  motion.why_no_derivative = simulator.ReasonNotDifferentiable();
   const HybridGradient gradient = simulator.Adjoint(std::vector<double>{1, 0, 0, 0});
   motion.by_push = gradient.control[0];
   motion.by_start = gradient.initial[0];
@@ -131,7 +131,7 @@ TEST(ContactsWithoutFriction, NeverStick) {
   HybridSimulator simulator(system.hybrid());
   EXPECT_FALSE(
       simulator.Rollout({.mode = system.Mode("n"), .initial = {0, 0, 0, 0}, .parameters = {0.1}, .duration = 1}));
-  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("grip"));
+  EXPECT_THAT(simulator.FailureReason(), HasSubstr("grip"));
 }
 
 // ---------------------------------------------------------------------------------------------------------------------
@@ -203,10 +203,10 @@ TEST(ContactsWithoutFriction, RandomSystemsHaveTheDerivativeOfTheirMotion) {
     std::vector<double> control(sliders.count);
     const auto end = [&](HybridSimulator& simulator) {
       const MechanicalSystem::Start start = system.FindMode(input.initial, control, {});
-      EXPECT_EQ(start.why, "") << number;
+      EXPECT_EQ(start.reason, "") << number;
       input.mode = std::max(start.mode, 0);
       input.control = control;
-      EXPECT_TRUE(simulator.Rollout(input)) << number << simulator.WhyFailed();
+      EXPECT_TRUE(simulator.Rollout(input)) << number << simulator.FailureReason();
       return std::vector<double>(simulator.final_state().begin(), simulator.final_state().end());
     };
     HybridSimulator simulator(system.hybrid());
@@ -219,7 +219,7 @@ TEST(ContactsWithoutFriction, RandomSystemsHaveTheDerivativeOfTheirMotion) {
       control[j] = kStep;
       const std::vector<double> on = end(other);
       control[j] = -kStep;
-      other.ChooseStepsAnew();
+      other.ResetStepChoice();
       const std::vector<double> back = end(other);
       control[j] = 0;
       for (int i = 0; i < n; ++i) {
@@ -282,10 +282,10 @@ TEST(ContactsWithoutFriction, TurnWhereTheyStop) {
     input.control.resize(sliders.count);
     input.control[(number + 1) % sliders.count] = 0.01;
     const MechanicalSystem::Start start = system.FindMode(input.initial, input.control, {});
-    ASSERT_EQ(start.why, "");
+    ASSERT_EQ(start.reason, "");
     input.mode = start.mode;
     HybridSimulator simulator(system.hybrid());
-    ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+    ASSERT_TRUE(simulator.Rollout(input)) << simulator.FailureReason();
     const Eigen::VectorXd expected = PlacesOfFreeMasses(sliders, input.control, input.duration);
     for (int i = 0; i < sliders.count; ++i) EXPECT_NEAR(simulator.final_state()[2 * i], expected[i], 1e-11) << i;
     stops += static_cast<int>(simulator.events().size());
@@ -302,7 +302,7 @@ TEST(ContactsWithoutFriction, ANeighbourThatBeginsToSlideGoesOn) {
     HybridInput input{.initial = {0.5, 0, 0.5, 0, 0, 0, 0, 0}, .duration = 0.7, .control = {push, 0}};
     input.mode = system.FindMode(input.initial, input.control, {}).mode;
     HybridSimulator simulator(system.hybrid());
-    ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+    ASSERT_TRUE(simulator.Rollout(input)) << simulator.FailureReason();
     // Until it slides the first mass is an oscillator: x = u / k (1 - cos w t), w^2 = k, with the force on the second
     // k x - 0.1 x'' = 5.
     const double w = std::sqrt(30.0), most = push / 30;
@@ -357,10 +357,10 @@ TEST(BlockInCorner, StaysUnderEveryPushThatFrictionOrTheWallHolds) {
     for (const double push : {0.0, 1.0, 5.0, 6.67, -1.0, -5.0, -12.0, -100.0}) {
       const std::vector<double> x{0, 0, 0, 0}, u{push}, p{0.4};
       const MechanicalSystem::Start start = system.FindMode(x, u, p);
-      ASSERT_EQ(start.why, "") << wall_friction << " " << push;
+      ASSERT_EQ(start.reason, "") << wall_friction << " " << push;
       HybridSimulator simulator(system.hybrid());
       ASSERT_TRUE(simulator.Rollout({.mode = start.mode, .initial = x, .parameters = p, .duration = 1, .control = u}))
-          << wall_friction << " " << push << simulator.WhyFailed();
+          << wall_friction << " " << push << simulator.FailureReason();
       EXPECT_THAT(simulator.final_state(), testing::Each(0.0)) << wall_friction << " " << push;
       EXPECT_LE(simulator.steps_per_interval(), 32);
       for (const double entry : simulator.Sensitivity().final_state) EXPECT_TRUE(std::isfinite(entry));
@@ -368,10 +368,10 @@ TEST(BlockInCorner, StaysUnderEveryPushThatFrictionOrTheWallHolds) {
     // Beyond the limit it leaves the wall.
     const std::vector<double> x{0, 0, 0, 0}, u{7}, p{0.4};
     const MechanicalSystem::Start start = system.FindMode(x, u, p);
-    ASSERT_EQ(start.why, "");
+    ASSERT_EQ(start.reason, "");
     HybridSimulator simulator(system.hybrid());
     ASSERT_TRUE(simulator.Rollout({.mode = start.mode, .initial = x, .parameters = p, .duration = 1, .control = u}))
-        << simulator.WhyFailed();
+        << simulator.FailureReason();
     EXPECT_NEAR(simulator.final_state()[0], 0.5 * (7 / 1.7 - 0.4 * kGravity), 1e-13);
   }
 }
@@ -385,14 +385,14 @@ TEST(BlockInCorner, ComesToRestInIt) {
       const std::vector<double> x{0.3, 0, -2, 0}, p{floor};
       const MechanicalSystem::Start start = system.FindMode(x, std::vector<double>{0}, p);
       ASSERT_TRUE(simulator.Rollout({.mode = start.mode, .initial = x, .parameters = p, .duration = 1}))
-          << wall_friction << simulator.WhyFailed();
+          << wall_friction << simulator.FailureReason();
       ASSERT_FALSE(simulator.events().empty());
       const double a = floor * kGravity;
       const double time = floor == 0 ? 0.15 : (2 - std::sqrt(4 - 2 * a * 0.3)) / a;
       EXPECT_NEAR(simulator.events()[0].time, time, 1e-13);
       for (const double entry : simulator.final_state()) EXPECT_NEAR(entry, 0, 1e-15);
       for (const double entry : simulator.Sensitivity().final_state) EXPECT_TRUE(std::isfinite(entry));
-      EXPECT_EQ(simulator.WhyNotDifferentiable(), "");
+      EXPECT_EQ(simulator.ReasonNotDifferentiable(), "");
     }
   }
 }
@@ -415,10 +415,10 @@ TEST(RockingBox, LiesStillAtTheEnd) {
     const MechanicalSystem system(scene);
     const std::vector<double> initial = scene.InitialState(), p = scene.Parameters();
     const MechanicalSystem::Start start = system.FindMode(initial, {}, p);
-    ASSERT_EQ(start.why, "");
+    ASSERT_EQ(start.reason, "");
     HybridSimulator simulator(system.hybrid());
     ASSERT_TRUE(simulator.Rollout({.mode = start.mode, .initial = initial, .parameters = p, .duration = 1}))
-        << simulator.WhyFailed();
+        << simulator.FailureReason();
     EXPECT_TRUE(Rests(simulator.final_state(), 0)) << restitution;
     if (restitution > 0) continue;
     EXPECT_NEAR(simulator.final_state()[0], 0.05 - 0.05 * std::cos(0.3) + 0.05 * std::sin(0.3), 1e-11);
@@ -426,7 +426,7 @@ TEST(RockingBox, LiesStillAtTheEnd) {
     EXPECT_NEAR(simulator.final_state()[2], 0, 1e-15);
     EXPECT_NEAR(simulator.events().back().time, 0.162123749473585, 1e-5);
     EXPECT_LT(simulator.events().size(), 60u);
-    EXPECT_EQ(simulator.WhyNotDifferentiable(), "");
+    EXPECT_EQ(simulator.ReasonNotDifferentiable(), "");
     // Where it ends by the angle at which it begins to fall on the same corner.
     const std::vector<double> by = simulator.Adjoint(std::vector<double>{1, 0, 0, 0, 0, 0}).initial;
     const double height_by_angle = 0.05 * std::cos(0.3) - 0.05 * std::sin(0.3);
@@ -449,10 +449,10 @@ TEST(TumblingCube, TipsAndRests) {
         const MechanicalSystem system(scene);
         HybridInput input{.initial = scene.InitialState(), .parameters = scene.Parameters(), .duration = 2};
         const MechanicalSystem::Start start = system.FindMode(input.initial, {}, input.parameters);
-        ASSERT_EQ(start.why, "");
+        ASSERT_EQ(start.reason, "");
         input.mode = start.mode;
         HybridSimulator simulator(system.hybrid(), {.steps_per_interval = 400, .most_events = 2000});
-        ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+        ASSERT_TRUE(simulator.Rollout(input)) << simulator.FailureReason();
         RestingReport report;
         CheckMotion(scene, system, simulator, input, &report);
         EXPECT_EQ(report.wrong, "");
@@ -545,7 +545,7 @@ TEST(RestingBoxes, EventsAreNamedAfterTheContactThatChanges) {
     HybridInput input{.initial = bodies.InitialState(), .parameters = bodies.Parameters(), .duration = 0.6};
     input.mode = system.FindMode(input.initial, {}, input.parameters).mode;
     HybridSimulator simulator(system.hybrid(), {.steps_per_interval = 50, .most_events = 1000});
-    ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+    ASSERT_TRUE(simulator.Rollout(input)) << simulator.FailureReason();
     const std::vector<std::string>& contacts = system.functions().layout().contact_names;
     for (const HybridEvent& event : simulator.events()) {
       ++events;
@@ -571,8 +571,8 @@ TEST(RestingBoxes, StepsThatAreTooLongAreRefused) {
   input.mode = system.FindMode(input.initial, {}, input.parameters).mode;
   HybridSimulator simulator(system.hybrid(), {.steps_per_interval = 400});
   EXPECT_FALSE(simulator.Rollout(input));
-  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("steps of the integration are too long"));
-  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("Take more steps"));
+  EXPECT_THAT(simulator.FailureReason(), HasSubstr("steps of the integration are too long"));
+  EXPECT_THAT(simulator.FailureReason(), HasSubstr("Take more steps"));
 }
 
 // Up to ten contacts take part in an impact, and tip bodies whose relative accelerations are far below that of gravity.
@@ -601,7 +601,7 @@ TEST(RestingBoxes, ABoxTipsWhereTheOneBelowSlides) {
     input.mode = system.FindMode(input.initial, {}, input.parameters).mode;
     HybridSimulator simulator(system.hybrid(), options);
     simulator.Rollout(input);
-    return std::pair(simulator.WhyFailed(), simulator.events().size());
+    return std::pair(simulator.FailureReason(), simulator.events().size());
   };
   const auto [why_given, events] = run(-0.05, {.steps_per_interval = 16});
   EXPECT_THAT(why_given, HasSubstr("is not a finite number"));
@@ -652,11 +652,11 @@ TEST(Columns, FallAndBounceAsOneBodyWhateverTheirNumber) {
     HybridInput input{.initial = std::vector<double>(2 * count), .parameters = {0.8}, .duration = 0.2};
     for (int i = 0; i < count; ++i) input.initial[i] = 0.055 + 0.01 * i;
     const MechanicalSystem::Start start = system.FindMode(input.initial, {}, input.parameters);
-    ASSERT_EQ(start.why, "");
+    ASSERT_EQ(start.reason, "");
     EXPECT_EQ(system.hybrid().ModeName(start.mode), "o" + std::string(count - 1, 'n'));
     input.mode = start.mode;
     HybridSimulator simulator(system.hybrid(), {.steps_per_interval = 8, .most_events = 200});
-    ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+    ASSERT_TRUE(simulator.Rollout(input)) << simulator.FailureReason();
     const double fall = std::sqrt(2 * 0.05 / kGravity), left = 0.2 - fall, speed = 0.8 * kGravity * fall;
     for (int i = 0; i < count; ++i) {
       EXPECT_NEAR(simulator.final_state()[i], 0.005 + 0.01 * i + speed * left - 0.5 * kGravity * left * left, 1e-12);
@@ -671,11 +671,11 @@ TEST(Columns, Rest) {
     HybridInput input{.initial = std::vector<double>(2 * count), .parameters = {0.5}, .duration = 1};
     for (int i = 0; i < count; ++i) input.initial[i] = 0.005 + 0.01 * i;
     const MechanicalSystem::Start start = system.FindMode(input.initial, {}, input.parameters);
-    ASSERT_EQ(start.why, "");
+    ASSERT_EQ(start.reason, "");
     EXPECT_EQ(system.hybrid().ModeName(start.mode), std::string(count, 'n'));
     input.mode = start.mode;
     HybridSimulator simulator(system.hybrid(), {.steps_per_interval = 8});
-    ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+    ASSERT_TRUE(simulator.Rollout(input)) << simulator.FailureReason();
     for (std::size_t i = 0; i < input.initial.size(); ++i) {
       EXPECT_NEAR(simulator.final_state()[i], input.initial[i], 1e-15);
     }
@@ -723,10 +723,10 @@ struct BodiesInMotion {
       : bodies(scene), system(bodies), simulator(system.hybrid(), {.steps_per_interval = steps}) {
     input = {.initial = bodies.InitialState(), .parameters = bodies.Parameters(), .duration = duration};
     const MechanicalSystem::Start start = system.FindMode(input.initial, {}, input.parameters);
-    why = start.why;
+    why = start.reason;
     if (start.mode < 0) return;
     input.mode = start.mode;
-    if (!simulator.Rollout(input)) why = simulator.WhyFailed();
+    if (!simulator.Rollout(input)) why = simulator.FailureReason();
   }
   // All bodies are this much higher than at the start, and else as they were.
   void ExpectRisen(double by) const {
@@ -811,7 +811,7 @@ TEST(PiledUp, IsCarriedUpToTheLimitOfFriction) {
       .initial = bodies.InitialState(), .parameters = bodies.Parameters(), .duration = 4 * each, .num_intervals = 4};
   input.control = {0, 0, 0, 2 * limit, 0, 0, 4 * limit, 0, 0, 8 * limit, 0, 0};
   input.mode = system.FindMode(input.initial, input.control, input.parameters).mode;
-  ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+  ASSERT_TRUE(simulator.Rollout(input)) << simulator.FailureReason();
   double x = 0, v = 1, upper = 0, upper_v = 1;
   for (const double a : {-limit, 0.0, limit, 5 * limit}) {
     const double of_upper = std::min(a, limit);
@@ -840,7 +840,7 @@ TEST(Rows, SlideAsOneBody) {
     HybridInput input{.initial = bodies.InitialState(), .parameters = bodies.Parameters(), .duration = 0.2};
     input.control = {count * (friction * kGravity + 2), 0, 0};
     input.mode = system.FindMode(input.initial, input.control, input.parameters).mode;
-    ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+    ASSERT_TRUE(simulator.Rollout(input)) << simulator.FailureReason();
     EXPECT_TRUE(simulator.events().empty());
     for (int i = 0; i < count; ++i) {
       const std::array<double, 3> pose = bodies.PoseOf(i, simulator.final_state().data());
@@ -892,7 +892,7 @@ TEST(PiledUp, SaysWhatIsLostWhereItFallsOver) {
   BodiesInMotion motion(scene, 1, 0);
   ASSERT_EQ(motion.why, "");
   EXPECT_GT(motion.simulator.IntegrationError(), 1e-7);
-  EXPECT_NE(motion.simulator.WhyInaccurate(), "");
+  EXPECT_NE(motion.simulator.ReasonInaccurate(), "");
 }
 
 TEST(Pyramids, Rest) {
@@ -992,7 +992,7 @@ TEST(Interrupts, EndARolloutWithinAStep) {
     };
     HybridSimulator simulator(system.hybrid(), {.steps_per_interval = steps, .stop = stop});
     EXPECT_FALSE(simulator.Rollout(input));
-    EXPECT_THAT(simulator.WhyFailed(), HasSubstr("interrupted"));
+    EXPECT_THAT(simulator.FailureReason(), HasSubstr("interrupted"));
     after = evaluations - then;
     EXPECT_GE(asked, 20);
     // The bounds are the most evaluations of a rollout before its first step.

@@ -37,7 +37,7 @@ TEST(WallSwingUp, BestControlOnTheGridIsAtAKink) {
   EXPECT_NEAR(report.solution.loss, Number(reference["J"]), 1e-11);
   EXPECT_THAT(report.reason, HasSubstr("guard 'hit wall' has an event at t = 0.36, where the control jumps"));
   HybridSimulator simulator(problem.system, {.tolerance = 1e-14});
-  ASSERT_TRUE(simulator.Rollout(problem.guess)) << simulator.WhyFailed();
+  ASSERT_TRUE(simulator.Rollout(problem.guess)) << simulator.FailureReason();
   ASSERT_EQ(simulator.events().size(), 1u);
   EXPECT_NEAR(simulator.events()[0].time, 0.36, 1e-13);
   for (int i = 0; i < 2; ++i) {
@@ -231,7 +231,7 @@ HybridProblem CartsProblem(double push) {
   }
   problem.terms.push_back(
       {.name = "stage",
-       .at = HybridTerm::At::kEachInterval,
+       .at = HybridTerm::Timing::kEachInterval,
        .with_state = true,
        .with_control = true,
        .with_length = true,
@@ -285,7 +285,7 @@ void ExpectMinimum(const HybridProblem& problem, const SolveReport& report, Hybr
   best.control = report.solution.control;
   best.lengths = report.solution.durations;
   best.num_intervals = static_cast<int>(report.solution.durations.size());
-  ASSERT_TRUE(simulator->Rollout(best)) << simulator->WhyFailed();
+  ASSERT_TRUE(simulator->Rollout(best)) << simulator->FailureReason();
   std::map<double, bool> changes = {{best.duration, false}};  // of the mode, and the end; whether a guard makes them
   for (const HybridEvent& event : simulator->events()) changes[event.time] = true;
   for (const HybridEvent& jump : simulator->switches()) changes[jump.time] = false;
@@ -311,7 +311,7 @@ void ExpectMinimum(const HybridProblem& problem, const SolveReport& report, Hybr
     HybridShooting::Outcome outcome;
     for (int round = 0; round < 20; ++round) {
       MoveEnds(nodes, times, &moved.lengths);
-      ASSERT_TRUE(shooting.Simulate(moved, &outcome)) << shooting.WhyFailed();
+      ASSERT_TRUE(shooting.Simulate(moved, &outcome)) << shooting.FailureReason();
       auto event = shooting.simulator().events().begin();
       ASSERT_EQ(shooting.simulator().events().size(), simulator->events().size());
       size_t i = 0;
@@ -405,7 +405,7 @@ SolveReport SolvePolynomial(const std::vector<double>& start) {
   return Solve("ceres_lm", problem, {.limits = {.iterations = 2000}});
 }
 
-TEST(PolynomialSwingUp, WithoutImpact) {
+TEST(PolynomialSwingUp, BoundWithoutImpact) {
   const SolveReport report = SolvePolynomial({-5.1, -65.6, 206.4, -131.9, -82.4, 84.3});
   EXPECT_NEAR(report.solution.loss, 1.4856636733327897, 1e-9) << report.reason;
 }

@@ -90,7 +90,7 @@ TEST(VertexImpact, NewtonsLawCanGainEnergyWhichIsReported) {
   std::vector<double> x = newton.x;
   x[1] += 0.1;
   const HybridInput input{.initial = x, .parameters = newton.p, .duration = 0.2};
-  ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+  ASSERT_TRUE(simulator.Rollout(input)) << simulator.FailureReason();
   const MechanicalReport report = newton.system.Examine(simulator, input);
   EXPECT_THAT(report.energy_gains, ElementsAre(0));
   EXPECT_NEAR(report.largest_gain, 0.0569696969696969697, 1e-11);
@@ -136,8 +136,8 @@ TEST(SeveralContacts, TwoCornersThatHitAtOnceAreReported) {
   HybridSimulator simulator(system.hybrid());
   const HybridInput input{
       .initial = {0, 0.5, 0, 0, -1, 0}, .parameters = {1, 0.3, 0.2, 0, 0.5, 0, 0, 0}, .duration = 0.4};
-  ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
-  EXPECT_THAT(simulator.WhyNotDifferentiable(), HasSubstr("hit at the same instant and are coupled (simultaneous)"));
+  ASSERT_TRUE(simulator.Rollout(input)) << simulator.FailureReason();
+  EXPECT_THAT(simulator.ReasonNotDifferentiable(), HasSubstr("hit at the same instant and are coupled (simultaneous)"));
   const MechanicalReport report = system.Examine(simulator, input);
   ASSERT_EQ(report.impacts.size(), 1u);
   const MechanicalImpact& impact = report.impacts[0];
@@ -146,12 +146,12 @@ TEST(SeveralContacts, TwoCornersThatHitAtOnceAreReported) {
   ASSERT_EQ(impact.contacts.size(), 2u);
   for (const MechanicalImpact::Contact& contact : impact.contacts) EXPECT_NEAR(contact.normal_impulse, 0.75, 1e-14);
   EXPECT_NEAR(impact.coupling, 7.0 / 20, 1e-14);
-  EXPECT_NEAR(impact.together[1], 0.5, 1e-14);
-  EXPECT_NEAR(impact.together[2], 0, 1e-14);
-  EXPECT_NEAR(impact.first_first[1], 0.3774921875, 1e-14);
-  EXPECT_NEAR(impact.first_first[2], 0.757265625, 1e-14);
-  EXPECT_NEAR(impact.second_first[1], 0.3774921875, 1e-14);
-  EXPECT_NEAR(impact.second_first[2], -0.757265625, 1e-14);
+  EXPECT_NEAR(impact.v_simultaneous[1], 0.5, 1e-14);
+  EXPECT_NEAR(impact.v_simultaneous[2], 0, 1e-14);
+  EXPECT_NEAR(impact.v_first_then_second[1], 0.3774921875, 1e-14);
+  EXPECT_NEAR(impact.v_first_then_second[2], 0.757265625, 1e-14);
+  EXPECT_NEAR(impact.v_second_then_first[1], 0.3774921875, 1e-14);
+  EXPECT_NEAR(impact.v_second_then_first[2], -0.757265625, 1e-14);
 }
 
 TEST(SeveralContacts, ForcesOfABoxThatSlidesAreUnique) {
@@ -170,7 +170,7 @@ TEST(SeveralContacts, WhetherABoxSlidesOrTipsFromRest) {
   const auto mode = [&](double a, double b, double mu, double beta) {
     const MechanicalSystem::Start start = system.FindMode(
         std::vector{0.0, b, 0.0, 0.0, 0.0, 0.0}, {}, std::vector<double>{2, a, b, 9.81, 0, mu, beta, 0});
-    EXPECT_GE(start.mode, 0) << start.why;
+    EXPECT_GE(start.mode, 0) << start.reason;
     return start.mode < 0 ? "" : system.hybrid().ModeName(start.mode);
   };
   EXPECT_EQ(mode(0.3, 0.2, 0.3, 0.4), "++");
@@ -204,7 +204,7 @@ TEST(SeveralContacts, IndependentImpactsAtOnceHaveADerivative) {
   const MechanicalSystem system{Corner()};
   HybridSimulator simulator(system.hybrid());
   ASSERT_TRUE(simulator.Rollout({.initial = {1, 1, -1, -1}, .parameters = {0.8}, .duration = 2}));
-  EXPECT_EQ(simulator.WhyNotDifferentiable(), "");
+  EXPECT_EQ(simulator.ReasonNotDifferentiable(), "");
   EXPECT_EQ(simulator.events().size(), 2u);
   for (int i = 0; i < 4; ++i) EXPECT_NEAR(simulator.final_state()[i], 0.8, 1e-13);
   EXPECT_NEAR(simulator.Adjoint(std::vector<double>{1, 0, 0, 0}).initial[0], -0.8, 1e-13);
@@ -239,9 +239,9 @@ TEST(SeveralContacts, ThoseThatOnlyTouchAreNamedWhereAnotherHits) {
   const auto remark = [&](double gap, double force) {
     const std::vector<double> x = {-0.5, 0, 0.2 + gap, 1, 0, 0}, p = {1, force};
     const MechanicalSystem::Start start = system.FindMode(x, {}, p);
-    EXPECT_GE(start.mode, 0) << start.why;
+    EXPECT_GE(start.mode, 0) << start.reason;
     EXPECT_TRUE(simulator.Rollout({.mode = start.mode, .initial = x, .parameters = p, .duration = 0.6}));
-    return simulator.WhyNotDifferentiable();
+    return simulator.ReasonNotDifferentiable();
   };
   EXPECT_THAT(remark(0, 0), HasSubstr("'b-c' touch without a force where 'a-b' hits: the order of their impacts"));
   EXPECT_EQ(remark(1e-3, 0), "");
@@ -275,10 +275,10 @@ TEST(Painleve, SolutionsOfTheRod) {
       EXPECT_EQ(system.hybrid().ModeName(start.mode), found);
     } else {
       EXPECT_EQ(start.mode, -1);
-      EXPECT_THAT(start.why, HasSubstr(solutions.empty() ? "painleve_inconsistent" : "painleve_indeterminate"));
+      EXPECT_THAT(start.reason, HasSubstr(solutions.empty() ? "painleve_inconsistent" : "painleve_indeterminate"));
       char expected[64];
       std::snprintf(expected, sizeof expected, "A = %.6g, b = %.6g", Number(row.at("A")), Number(row.at("b")));
-      EXPECT_THAT(start.why, HasSubstr(expected));
+      EXPECT_THAT(start.reason, HasSubstr(expected));
     }
   }
 }
@@ -303,7 +303,7 @@ TEST(Painleve, AnImpactlessJamEndsTheMotionWithAReason) {
   const std::vector<double> x = {
       l * std::cos(th), l * std::sin(th), th, -20 - l * std::sin(th) * om, l * std::cos(th) * om, om};
   ASSERT_FALSE(simulator.Rollout({.mode = system.Mode("-"), .initial = x, .parameters = p, .duration = 1}));
-  EXPECT_THAT(simulator.WhyFailed(), testing::AnyOf(HasSubstr("jammed"), HasSubstr("painleve")));
+  EXPECT_THAT(simulator.FailureReason(), testing::AnyOf(HasSubstr("jammed"), HasSubstr("painleve")));
 }
 
 // ---------------------------------------------------------------------------------------------------------------------
@@ -318,7 +318,7 @@ TEST(Accumulation, OfTwoContactsInTurnEndsTheMotionWithAReason) {
                           .num_intervals = 20,
                           .control = {4, 7, -3, -9, -6, 5, 10, 2, -8, -10, 3, 9, 6, -5, -7, 1, 8, -2, -4, 6}};
   ASSERT_FALSE(simulator.Rollout(input));
-  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("Zeno behaviour"));
+  EXPECT_THAT(simulator.FailureReason(), HasSubstr("Zeno behaviour"));
   ASSERT_FALSE(simulator.events().empty());
   EXPECT_NEAR(simulator.events().back().time, 1.1909, 1e-3);
 }
@@ -327,7 +327,7 @@ TEST(Accumulation, ALimitOfEventsIsReported) {
   const MechanicalSystem system{BallOnIncline(), {.rest_speed = 0}};
   HybridSimulator simulator(system.hybrid(), {.most_events = 30});
   EXPECT_FALSE(simulator.Rollout({.initial = {0, 0.5, 2, 1}, .parameters = {1, 9.81, 0.3, 0.5, 0.2}, .duration = 2}));
-  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("more than 30 events"));
+  EXPECT_THAT(simulator.FailureReason(), HasSubstr("more than 30 events"));
 }
 
 TEST(MechanicalStart, PenetrationIsReported) {
@@ -335,7 +335,7 @@ TEST(MechanicalStart, PenetrationIsReported) {
   const MechanicalSystem::Start start =
       system.FindMode(std::vector{0.0, -1e-3, 0.0, 0.0}, {}, std::vector{1.0, 9.81, 0.3, 0.5, 0.2});
   EXPECT_EQ(start.mode, -1);
-  EXPECT_THAT(start.why, HasSubstr("contact 'ground' penetrates, its gap is -0.001"));
+  EXPECT_THAT(start.reason, HasSubstr("contact 'ground' penetrates, its gap is -0.001"));
 }
 
 TEST(MechanicalStart, ABallThatGoesUpIsOpen) {
@@ -356,7 +356,7 @@ TEST(ControlJumps, ContactsOpenSlideAndStickAgain) {
                           .duration = 4,
                           .num_intervals = 4,
                           .control = {4, 0, 8, 0, 0, 0, 0, 12}};
-  ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+  ASSERT_TRUE(simulator.Rollout(input)) << simulator.FailureReason();
   std::vector<std::string> modes;
   for (int k = 0; k <= 4; ++k) modes.push_back(system.hybrid().ModeName(simulator.ModeAt(k)));
   EXPECT_THAT(modes, ElementsAre("s", "+", "+", "o", "o"));

@@ -133,10 +133,10 @@ TEST(RandomHybridSystems, DerivativesAgree) {
     for (int k = 0; k < 3; ++k) input.control.push_back(normal(random));
     HybridSimulator simulator(system);
     if (!simulator.Rollout(input)) {
-      EXPECT_NE(simulator.WhyFailed(), "");
+      EXPECT_NE(simulator.FailureReason(), "");
       continue;
     }
-    if (simulator.WhyNotDifferentiable() != "") continue;
+    if (simulator.ReasonNotDifferentiable() != "") continue;
     ++compared;
     with_events += !simulator.events().empty();
     const int final_size = static_cast<int>(simulator.final_state().size());

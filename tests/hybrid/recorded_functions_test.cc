@@ -56,13 +56,13 @@ TEST(RecordedFunction, HasValuesAndDerivatives) {
 TEST(RecordedFunction, BadRecordingsAreRefused) {
   ExpressionGraph recording = Example();
   recording.nodes[3].b = 3;
-  EXPECT_THAT(WhatIsWrongWith(recording), testing::HasSubstr("node 3: found operand 3"));
+  EXPECT_THAT(Validate(recording), testing::HasSubstr("node 3: found operand 3"));
   recording = Example();
   recording.nodes[1].a = 2;
-  EXPECT_THAT(WhatIsWrongWith(recording), testing::HasSubstr("found input 2, expected 0 to 1"));
+  EXPECT_THAT(Validate(recording), testing::HasSubstr("found input 2, expected 0 to 1"));
   recording = Example();
   recording.outputs = {11};
-  EXPECT_THAT(WhatIsWrongWith(recording), testing::HasSubstr("found output 11"));
+  EXPECT_THAT(Validate(recording), testing::HasSubstr("found output 11"));
 }
 
 TEST(RecordedFunction, BoundsHoldTheValuesOfAllOperations) {
@@ -128,7 +128,7 @@ TEST(RecordedSystem, MovesAsTheTemplateDoes) {
   const HybridInput input{
       .initial = {1.3, 0.4}, .parameters = {9.81, 0.8}, .duration = 2, .num_intervals = 3, .control = {0.5, -0.4, 0.2}};
   HybridSimulator recorded(RecordedBall()), written{HybridSystem(BouncingBall())};
-  ASSERT_TRUE(recorded.Rollout(input)) << recorded.WhyFailed();
+  ASSERT_TRUE(recorded.Rollout(input)) << recorded.FailureReason();
   ASSERT_TRUE(written.Rollout(input));
   const HybridSensitivity a = recorded.Sensitivity(), b = written.Sensitivity();
   for (int i = 0; i < 2; ++i) EXPECT_NEAR(recorded.final_state()[i], written.final_state()[i], 1e-14);

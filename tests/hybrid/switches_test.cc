@@ -45,12 +45,12 @@ struct TwoRates {
 
 TEST(Switches, AJumpOfTheFlowHasItsSaltation) {
   HybridSimulator simulator{HybridSystem(TwoRates())};
-  ASSERT_TRUE(simulator.Rollout({.initial = {0.3}, .parameters = {1}, .duration = 2})) << simulator.WhyFailed();
+  ASSERT_TRUE(simulator.Rollout({.initial = {0.3}, .parameters = {1}, .duration = 2})) << simulator.FailureReason();
   EXPECT_NEAR(simulator.final_state()[0], 4.9, 1e-14);
   ASSERT_EQ(simulator.events().size(), 1u);
   EXPECT_TRUE(simulator.events()[0].is_switch);
   EXPECT_NEAR(simulator.events()[0].time, 0.7, 1e-15);
-  EXPECT_EQ(simulator.WhyNotDifferentiable(), "");
+  EXPECT_EQ(simulator.ReasonNotDifferentiable(), "");
   const HybridGradient by = simulator.Adjoint(std::vector<double>{1});
   EXPECT_NEAR(by.initial[0], 3, 1e-14);
   EXPECT_NEAR(by.parameters[0], -2, 1e-14);
@@ -63,7 +63,7 @@ TEST(Switches, AJumpOfTheFlowHasItsSaltation) {
 TEST(Switches, AMotionThatBeginsOnOneSaysSo) {
   HybridSimulator simulator{HybridSystem(TwoRates())};
   ASSERT_TRUE(simulator.Rollout({.initial = {1}, .parameters = {1}, .duration = 2}));
-  EXPECT_THAT(simulator.WhyNotDifferentiable(), HasSubstr("begins on switch 'x - c'"));
+  EXPECT_THAT(simulator.ReasonNotDifferentiable(), HasSubstr("begins on switch 'x - c'"));
   EXPECT_NEAR(simulator.final_state()[0], 7, 1e-14);
 }
 
@@ -129,10 +129,10 @@ const HybridInput kDraggedBall = {.initial = {9, 3}, .parameters = {0.04, 0.72, 
 
 TEST(Switches, AKinkOfTheFlowIsMetAtFullOrder) {
   HybridSimulator simulator{HybridSystem(Dragged())};
-  ASSERT_TRUE(simulator.Rollout(kDraggedBall)) << simulator.WhyFailed();
+  ASSERT_TRUE(simulator.Rollout(kDraggedBall)) << simulator.FailureReason();
   EXPECT_LE(simulator.IntegrationError(), 1e-12);
-  EXPECT_EQ(simulator.WhyInaccurate(), "");
-  EXPECT_EQ(simulator.WhyNotDifferentiable(), "");
+  EXPECT_EQ(simulator.ReasonInaccurate(), "");
+  EXPECT_EQ(simulator.ReasonNotDifferentiable(), "");
   EXPECT_LE(simulator.steps_per_interval(), 128);
   EXPECT_NEAR(simulator.final_state()[0], kHeight, 1e-11);
   EXPECT_NEAR(simulator.final_state()[1], kSpeed, 1e-11);
@@ -145,10 +145,10 @@ TEST(Switches, AKinkOfTheFlowIsMetAtFullOrder) {
 
 TEST(Switches, AnUndeclaredKinkIsIntegratedToTheToleranceOrRemarked) {
   HybridSimulator simulator{HybridSystem(UndeclaredKink())};
-  ASSERT_TRUE(simulator.Rollout(kDraggedBall)) << simulator.WhyFailed();
+  ASSERT_TRUE(simulator.Rollout(kDraggedBall)) << simulator.FailureReason();
   const double error =
       std::max(std::abs(simulator.final_state()[0] - kHeight) / 9, std::abs(simulator.final_state()[1] - kSpeed) / 13);
-  EXPECT_TRUE(error < 1e-11 || simulator.WhyInaccurate() != "") << error;
+  EXPECT_TRUE(error < 1e-11 || simulator.ReasonInaccurate() != "") << error;
   EXPECT_LT(error, 20 * std::max(simulator.IntegrationError(), 1e-13));
 }
 
@@ -156,7 +156,7 @@ TEST(Switches, GivenStepsThatAreTooFewAreRemarked) {
   HybridSimulator simulator(HybridSystem(UndeclaredKink()), {.steps_per_interval = 64});
   ASSERT_TRUE(simulator.Rollout(kDraggedBall));
   EXPECT_GT(std::abs(simulator.final_state()[1] - kSpeed), 1e-9);
-  EXPECT_THAT(simulator.WhyInaccurate(), HasSubstr("above the tolerance 1e-12"));
+  EXPECT_THAT(simulator.ReasonInaccurate(), HasSubstr("above the tolerance 1e-12"));
 }
 
 // v' = f - mu sign v, whose both sides point at v = 0 if |f| < mu.
@@ -188,10 +188,10 @@ struct Friction {
 TEST(Switches, AMotionAlongASwitchEndsWithTheReason) {
   HybridSimulator simulator{HybridSystem(Friction())};
   EXPECT_FALSE(simulator.Rollout({.initial = {1}, .parameters = {0.2, 1}, .duration = 3}));
-  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("slide along the switch"));
-  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("t = 1.25"));
-  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("mode of its own"));
-  ASSERT_TRUE(simulator.Rollout({.initial = {1}, .parameters = {-1.2, 1}, .duration = 3})) << simulator.WhyFailed();
+  EXPECT_THAT(simulator.FailureReason(), HasSubstr("slide along the switch"));
+  EXPECT_THAT(simulator.FailureReason(), HasSubstr("t = 1.25"));
+  EXPECT_THAT(simulator.FailureReason(), HasSubstr("mode of its own"));
+  ASSERT_TRUE(simulator.Rollout({.initial = {1}, .parameters = {-1.2, 1}, .duration = 3})) << simulator.FailureReason();
   EXPECT_NEAR(simulator.final_state()[0], -0.2 * (3 - 1 / 2.2), 1e-14);
 }
 
@@ -221,9 +221,9 @@ struct WithIf {
 TEST(Switches, AnUndeclaredJumpOfTheFlowIsRefusedWithItsPlace) {
   HybridSimulator simulator{HybridSystem(WithIf())};
   EXPECT_FALSE(simulator.Rollout({.initial = {1, 0}, .duration = 1}));
-  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("jumps at t = 0.319"));  // 1 - 4.9 t^2 = 0.5
-  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("x[1] changes from -9.8 to -19.6"));
-  EXPECT_THAT(simulator.WhyFailed(), HasSubstr("kNumSwitches"));
+  EXPECT_THAT(simulator.FailureReason(), HasSubstr("jumps at t = 0.319"));  // 1 - 4.9 t^2 = 0.5
+  EXPECT_THAT(simulator.FailureReason(), HasSubstr("x[1] changes from -9.8 to -19.6"));
+  EXPECT_THAT(simulator.FailureReason(), HasSubstr("kNumSwitches"));
 }
 
 // y' = 1 - y while sin(2 pi f t) < d, else -y.
@@ -269,10 +269,10 @@ void ExpectAllSwitchings(double frequency, double duty) {
   }
   SCOPED_TRACE(std::to_string(frequency) + " Hz, " + std::to_string(duty));
   HybridSimulator simulator{HybridSystem(Comparator{frequency})};
-  ASSERT_TRUE(simulator.Rollout({.initial = {0}, .parameters = {duty}, .duration = 1})) << simulator.WhyFailed();
+  ASSERT_TRUE(simulator.Rollout({.initial = {0}, .parameters = {duty}, .duration = 1})) << simulator.FailureReason();
   EXPECT_EQ(simulator.events().size(), times.size() - 1);
   EXPECT_NEAR(simulator.final_state()[0], y, 1e-11);
-  EXPECT_EQ(simulator.WhyInaccurate(), "");
+  EXPECT_EQ(simulator.ReasonInaccurate(), "");
 }
 
 TEST(Switches, GuardsOfHighFrequencyAreNotMissed) {
@@ -285,7 +285,7 @@ TEST(Switches, GuardsOfHighFrequencyAreNotMissed) {
 TEST(Switches, AGuardThatIsTooFastForTheGivenStepsIsNamed) {
   HybridSimulator simulator(HybridSystem(Comparator{64}), {.steps_per_interval = 16});
   ASSERT_TRUE(simulator.Rollout({.initial = {0}, .parameters = {0.3}, .duration = 1}));
-  EXPECT_THAT(simulator.WhyInaccurate(), HasSubstr("guard 'guard 0' changes faster than the steps resolve"));
+  EXPECT_THAT(simulator.ReasonInaccurate(), HasSubstr("guard 'guard 0' changes faster than the steps resolve"));
 }
 
 }  // namespace

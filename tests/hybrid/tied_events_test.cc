@@ -248,11 +248,11 @@ TEST(TiedEvents, RandomTiesAreOneSidedWhereTheirOrdersDiffer) {
     const HybridInput input{.initial = {start.data(), start.data() + kSize},
                             .parameters = {p.data(), p.data() + num_guards},
                             .duration = end};
-    ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+    ASSERT_TRUE(simulator.Rollout(input)) << simulator.FailureReason();
     ASSERT_EQ(simulator.events().size(), num_guards);
     ASSERT_EQ(simulator.ties().size(), 1u);
     EXPECT_EQ(simulator.ties()[0].guards.size(), num_guards);
-    const std::string remark = simulator.WhyNotDifferentiable();
+    const std::string remark = simulator.ReasonNotDifferentiable();
     const HybridSensitivity found = simulator.Sensitivity();
     const Eigen::Map<const Eigen::Matrix<double, kSize, Eigen::Dynamic, Eigen::RowMajor>> derivative(
         found.final_state.data(), kSize, found.columns);
@@ -339,7 +339,7 @@ TEST(EventsAtOnce, EndsInTheModeThatIsNamedAtEveryRestitution) {
       SCOPED_TRACE(std::to_string(e) + " over " + std::to_string(duration));
       HybridSimulator simulator{HybridSystem(BallToRest())};
       const HybridInput input{.initial = {1, 0, 0}, .parameters = {9.8, e}, .duration = duration};
-      ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+      ASSERT_TRUE(simulator.Rollout(input)) << simulator.FailureReason();
       EXPECT_EQ(simulator.final_mode(), 1);
       ASSERT_TRUE(simulator.accumulation());
       // Falls for t1, and bounces for 2 t1 (e + e^2 + ...).
@@ -351,10 +351,10 @@ TEST(EventsAtOnce, EndsInTheModeThatIsNamedAtEveryRestitution) {
       EXPECT_NEAR(by.initial[0], 0.75 * rest / 2, within);
       EXPECT_NEAR(by.parameters[0], -0.75 * rest / (2 * 9.8), within);
       if (e == 0) {
-        EXPECT_THAT(simulator.WhyNotDifferentiable(), HasSubstr("the derivative is one-sided")) << "by e";
+        EXPECT_THAT(simulator.ReasonNotDifferentiable(), HasSubstr("the derivative is one-sided")) << "by e";
       } else {
         EXPECT_NEAR(by.parameters[1], 0.75 * 2 * t1 / ((1 - e) * (1 - e)), 40 * within / (1 - e));
-        EXPECT_EQ(simulator.WhyNotDifferentiable(), "");
+        EXPECT_EQ(simulator.ReasonNotDifferentiable(), "");
       }
     }
   }
@@ -390,7 +390,7 @@ TEST(EventsAtOnce, ABallThatSticksHasADerivative) {
   ASSERT_TRUE(simulator.Rollout({.initial = {1, 0, 0}, .parameters = {9.8}, .duration = 3}));
   EXPECT_EQ(simulator.final_mode(), 1);
   EXPECT_EQ(simulator.events().size(), 1u);
-  EXPECT_EQ(simulator.WhyNotDifferentiable(), "");
+  EXPECT_EQ(simulator.ReasonNotDifferentiable(), "");
   const double t1 = std::sqrt(2 / 9.8);
   EXPECT_NEAR(simulator.final_state()[2], 0.25 * 3 + 0.75 * t1, 1e-13);
   const HybridGradient by = simulator.Adjoint(std::vector<double>{0, 0, 1});
@@ -451,11 +451,11 @@ TEST(EventsAtOnce, IndependentEventsAtOnceAreNone) {
     HybridSimulator simulator{HybridSystem(std::make_shared<Clocks>(count))};
     HybridInput input{.initial = std::vector<double>(2 * count), .duration = 2};
     for (int i = 0; i < count; ++i) input.initial[2 * i] = 0.7;
-    ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+    ASSERT_TRUE(simulator.Rollout(input)) << simulator.FailureReason();
     EXPECT_EQ(simulator.events().size(), 2u * count);
     ASSERT_EQ(simulator.ties().size(), 1u);
     EXPECT_FALSE(simulator.ties()[0].ambiguous);
-    EXPECT_EQ(simulator.WhyNotDifferentiable(), "");
+    EXPECT_EQ(simulator.ReasonNotDifferentiable(), "");
     EXPECT_NEAR(simulator.final_state()[0], 9 - 1.3, 1e-13);
   }
 }
@@ -464,8 +464,8 @@ TEST(EventsAtOnce, LimitsAreNamedWithTheGuardAndTheRemedy) {
   HybridInput input{.initial = {0.7, 0, 0.7, 0}, .duration = 2};
   HybridSimulator few(HybridSystem(std::make_shared<Clocks>(2)), {.most_events = 3});
   EXPECT_FALSE(few.Rollout(input));
-  EXPECT_THAT(few.WhyFailed(), HasSubstr("more than 3 events, in mode 'mode 0' at t = 0.7, of guard 'guard 3'"));
-  EXPECT_THAT(few.WhyFailed(), HasSubstr("raise most_events"));
+  EXPECT_THAT(few.FailureReason(), HasSubstr("more than 3 events, in mode 'mode 0' at t = 0.7, of guard 'guard 3'"));
+  EXPECT_THAT(few.FailureReason(), HasSubstr("raise most_events"));
 }
 
 }  // namespace

@@ -62,7 +62,7 @@ TEST(EventFunctions, ConformAsAContactModel) {
   const auto contact = [](const Scene& scene) { return LearnedContact(ProfileEvents(scene, 2)); };
   const Model model{*FindContactModel(contact(Scene())),
                     [&](const Scene& scene) { return MakeSimulator(contact(scene), scene, Precision::kDouble); },
-                    [&](const Scene& scene) { return WhyNotApplicable(contact(scene), scene); }};
+                    [&](const Scene& scene) { return ReasonNotApplicable(contact(scene), scene); }};
   for (const auto& check :
        {&CheckFreeFlight, &CheckNeighbours, &CheckMomentum, &CheckSeparation, &CheckFixedDiscs, &CheckGroupsApart}) {
     EXPECT_EQ(check(model), "");
@@ -168,7 +168,7 @@ TEST(Identify, LearnsASurfaceThatIsNotFlat) {
   EXPECT_LT(report.misfit, 1.1);
   double highest = 0;
   for (const LearnedImpact& at : report.events->impacts) {
-    const EventAt true_event = EvaluateEvents(truth, 0, at.position, at.before, 0.05);
+    const EventValues true_event = EvaluateEvents(truth, 0, at.position, at.before, 0.05);
     EXPECT_NEAR(true_event.value, 0, 2e-3) << at.position[0];
     EXPECT_NEAR((at.normal - true_event.normal).norm(), 0, 0.02) << at.position[0];
     highest = std::max(highest, at.scene_gap);
@@ -181,15 +181,15 @@ TEST(Identify, LearnsASurfaceThatIsNotFlat) {
 TEST(EventFunctions, WhatMakesNoSenseIsRefused) {
   const Scene scene = ThrowScene();
   EventFunctions events = AffineEvents(scene);
-  EXPECT_EQ(WhatIsWrongWith(events, scene), "");
+  EXPECT_EQ(Validate(events, scene), "");
   events.planes.pop_back();
-  EXPECT_THAT(WhatIsWrongWith(events, scene), HasSubstr("functions of 1 planes, expected of 2"));
+  EXPECT_THAT(Validate(events, scene), HasSubstr("functions of 1 planes, expected of 2"));
   events = AffineEvents(scene);
   events.parameters.push_back(1);
-  EXPECT_THAT(WhatIsWrongWith(events, scene), HasSubstr("expected 5 of a disc and 15 parameters"));
+  EXPECT_THAT(Validate(events, scene), HasSubstr("expected 5 of a disc and 15 parameters"));
   events = AffineEvents(scene);
   std::swap(events.planes[0].event, events.planes[0].update);
-  EXPECT_THAT(WhatIsWrongWith(events, scene), HasSubstr("found 2 residuals"));
+  EXPECT_THAT(Validate(events, scene), HasSubstr("found 2 residuals"));
   const std::vector<Recording> recordings = Throws("event", scene, 1e-3);
   const auto reason = [&](const Contact& contact, const std::vector<Unknown>& unknowns, bool law) {
     IdentifyOptions options{.events = AffineEvents(scene)};
@@ -211,7 +211,7 @@ TEST(EventFunctions, KnowNoContactsThatLast) {
   scene.duration = 5;
   const auto simulator = MakeSimulator(LearnedContact(AffineEvents(scene)), scene, Precision::kDouble);
   EXPECT_FALSE(simulator->Rollout(InitialState(scene), InitialControl(scene, simulator->num_steps())));
-  EXPECT_THAT(simulator->WhyFailed(), HasSubstr("do not support sustained contacts"));
+  EXPECT_THAT(simulator->FailureReason(), HasSubstr("do not support sustained contacts"));
 }
 
 }  // namespace

@@ -67,7 +67,7 @@ HybridExperiment Experiment(double height, int seed) {
   HybridExperiment experiment{.name = "ball " + std::to_string(seed), .problem = problem, .data = {}};
   for (int k = 1; k < kIntervals; ++k) {
     const double time = k * kDuration / kIntervals, value = HeightAt(time, height) + kSigma * random.Normal();
-    HybridTerm term{.name = "height", .at = HybridTerm::At::kEachInterval, .interval = k, .with_state = true};
+    HybridTerm term{.name = "height", .at = HybridTerm::Timing::kEachInterval, .interval = k, .with_state = true};
     term.function = std::make_shared<ceres::AutoDiffCostFunction<Miss, 1, 2>>(new Miss{value, kSigma});
     experiment.problem.terms.push_back(term);
     experiment.data.push_back({"y", time, value, kSigma});

@@ -83,7 +83,7 @@ TEST(NeuralEvent, ConformsAsAContactModel) {
     const Contact contact = LearnedContact(law);
     const Model model{*FindContactModel(contact),
                       [&](const Scene& scene) { return MakeSimulator(contact, scene, Precision::kDouble); },
-                      [&](const Scene& scene) { return WhyNotApplicable(contact, scene); }};
+                      [&](const Scene& scene) { return ReasonNotApplicable(contact, scene); }};
     for (const auto& check : {&CheckFreeFlight,
                               &CheckNeighbours,
                               &CheckMomentum,
@@ -106,12 +106,12 @@ TEST(NeuralEvent, ConformsAsAContactModel) {
 
 TEST(ImpactLaw, NetworksAreDifferentiated) {
   for (const ImpactLaw& law : {Bent(RestitutionNetwork(4, 3, 0.8)), Bent(ImpulseNetwork(4, 3, 0.8, 0.2))}) {
-    const ImpactLawAt at = EvaluateLaw(law, 2.2, 0.7);
+    const ImpactLawValues at = EvaluateLaw(law, 2.2, 0.7);
     for (std::size_t i = 0; i < law.parameters.size(); ++i) {
       ImpactLaw up = law, down = law;
       up.parameters[i] += 1e-6;
       down.parameters[i] -= 1e-6;
-      const ImpactLawAt above = EvaluateLaw(up, 2.2, 0.7), below = EvaluateLaw(down, 2.2, 0.7);
+      const ImpactLawValues above = EvaluateLaw(up, 2.2, 0.7), below = EvaluateLaw(down, 2.2, 0.7);
       EXPECT_NEAR(at.restitution_slope[i], (above.restitution - below.restitution) / 2e-6, 1e-9) << i;
       if (!law.HasFriction()) continue;
       EXPECT_NEAR(at.friction_slope[i], (above.friction - below.friction) / 2e-6, 1e-9) << i;
@@ -219,13 +219,13 @@ TEST(Identify, LearnsFrictionAndRestitutionTogether) {
 TEST(ImpactLaw, WhatMakesNoSenseIsRefused) {
   ImpactLaw law = ConstantLaw(0.5);
   law.parameters = {0.5, 0.1};
-  EXPECT_THAT(WhatIsWrongWith(law), HasSubstr("expected 2 speeds and 2 parameters"));
-  EXPECT_THAT(WhatIsWrongWith(ConstantLaw(1.5)), HasSubstr("found no restitution in [0, 1]"));
-  EXPECT_THAT(WhatIsWrongWith(ImpactLaw{}), HasSubstr("found no function"));
+  EXPECT_THAT(Validate(law), HasSubstr("expected 2 speeds and 2 parameters"));
+  EXPECT_THAT(Validate(ConstantLaw(1.5)), HasSubstr("found no restitution in [0, 1]"));
+  EXPECT_THAT(Validate(ImpactLaw{}), HasSubstr("found no function"));
   law = ConstantLaw(0.5);
   law.learned_last = 2;
-  EXPECT_THAT(WhatIsWrongWith(law), HasSubstr("learned_last"));
-  EXPECT_EQ(WhatIsWrongWith(ConstantLaw(0.5)), "");
+  EXPECT_THAT(Validate(law), HasSubstr("learned_last"));
+  EXPECT_EQ(Validate(ConstantLaw(0.5)), "");
   const std::vector<Recording> recordings = Drops("event", DropScene());
   const auto reason = [&](const Contact& contact, const std::vector<Unknown>& unknowns) {
     const IdentifyReport report =
@@ -254,7 +254,7 @@ TEST(NeuralEvent, GoesWhereRolloutsDo) {
 TEST(NeuralEvent, FailsWhereTheLawHasNoValue) {
   const auto simulator = MakeSimulator(LearnedContact(SofteningLaw(0.9, -0.05)), DropScene(), Precision::kDouble);
   EXPECT_FALSE(simulator->Rollout(InitialState(DropScene()), InitialControl(DropScene(), 160)));
-  EXPECT_THAT(simulator->WhyFailed(), HasSubstr("the law of impact gives no restitution"));
+  EXPECT_THAT(simulator->FailureReason(), HasSubstr("the law of impact gives no restitution"));
 }
 
 }  // namespace

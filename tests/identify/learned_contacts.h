@@ -23,7 +23,7 @@ inline LossAndGradient Evaluate(const Contact& contact, const Scene& scene) {
   LossAndGradient out;
   const auto simulator = MakeSimulator(contact, scene, Precision::kDouble);
   EXPECT_TRUE(simulator->Rollout(InitialState(scene), InitialControl(scene, simulator->num_steps())))
-      << simulator->WhyFailed();
+      << simulator->FailureReason();
   std::vector<double> end(simulator->state_size()), cotangent(end.size());
   simulator->GetState(simulator->num_steps(), end);
   out.loss = TerminalLoss(scene.objective, end, 4);

@@ -119,7 +119,7 @@ TEST(Certificate, IsTheSameInOtherUnits) {
     const SolveReport report = OptimumByPhases(scene);
     const Certificate certificate = CertifyOptimum(scene, report);
     const Units units{.length = 0x1p-10, .time = 0x1p5, .mass = 0x1p5, .loss = 0x1p-20};
-    const Scene rescaled = InUnits(scene, units);
+    const Scene rescaled = ToUnits(scene, units);
     const UnitFactors by(scene.units, units);
     Scene plain = rescaled;
     plain.units = {};

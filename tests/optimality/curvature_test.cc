@@ -83,7 +83,7 @@ TEST_P(CurvatureOf, EqualsDifferencesOfExactGradients) {
   ASSERT_EQ(exact.run.events.size(), GetParam().impacts);
   for (const Flight::Hit& hit : exact.flight.hits()) ASSERT_FALSE(hit.on_node);
 
-  HybridShooting shooting(HybridProblemOf(scene));
+  HybridShooting shooting(MakeHybridProblem(scene));
   SingleShooting of_discs(MakeSimulator("event", scene, Precision::kDouble));
   const bool path = !scene.objective.running.empty() || !scene.objective.via.empty();
   const auto gradient = [&](const std::vector<double>& at) {

@@ -62,7 +62,7 @@ struct Thermostat {
   }
   template <typename T>
   auto Reset(const At<T>& a) const {
-    return Next<T>{1 - a.mode, {a.x[0]}};
+    return ResetResult<T>{1 - a.mode, {a.x[0]}};
   }
 };
 
@@ -101,7 +101,7 @@ TEST(OuterTest, ModesAndSwitchesBehaveAsStated) {
   HybridSimulator simulator(MakeHybridSystem(Thermostat()));
   // From 18 to 20 in 2, to 24 in 2 more; down to 20 in 2, to 18 in 2; up to 19.5 in 1.5.
   ASSERT_TRUE(simulator.Rollout({.mode = 1, .initial = {18}, .parameters = {24}, .duration = 9.5}))
-      << simulator.WhyFailed();
+      << simulator.FailureReason();
   EXPECT_NEAR(simulator.final_state()[0], 19.5, 1e-12);
   // A threshold that is higher by d is met later by d / 2, and left by d / 2 later: the end is lower by d.
   EXPECT_NEAR(simulator.Adjoint(std::vector<double>{1}).parameters[0], -1.0, 1e-12);
@@ -389,15 +389,16 @@ TEST(OuterTest, WrongProblemsAreRefusedWithTheirNames) {
                 problem.Free({.controls = {{"u[0]", 0, std::nan("")}}});
               }),
               ThrowsMessage<std::invalid_argument>(HasSubstr("found NaN as a bound of the control")));
-  for (const Bounded& wrong : {Bounded{"", -1, 1}, Bounded{"", -2, -1}, Bounded{.name = "", .max = 0}}) {
+  for (const BoundedVariable& wrong :
+       {BoundedVariable{"", -1, 1}, BoundedVariable{"", -2, -1}, BoundedVariable{.name = "", .max = 0}}) {
     EXPECT_THAT([&] { problem.Free({.duration = wrong}); },
                 ThrowsMessage<std::invalid_argument>(HasSubstr("as the duration is positive")));
   }
   EXPECT_THAT(([&] {
-                problem.Free({.duration = Bounded{"", std::nan(""), 1}});
+                problem.Free({.duration = BoundedVariable{"", std::nan(""), 1}});
               }),
               ThrowsMessage<std::invalid_argument>(HasSubstr("found NaN as a bound of the duration")));
-  EXPECT_NO_THROW(problem.Free({.duration = Bounded{.name = "", .max = 1}}));
+  EXPECT_NO_THROW(problem.Free({.duration = BoundedVariable{.name = "", .max = 1}}));
   problem.AddCost(kEnd, [](const auto& a) { return a.x[0]; }).Free({.parameters = {{"p[1]"}}});
   EXPECT_THAT([&] { Solve(problem, {.solver = "simplex"}); },
               ThrowsMessage<std::invalid_argument>(HasSubstr("simplex")));

@@ -44,7 +44,7 @@ TEST(PageTest, NothingInTheDocumentEndsIt) {
 
 TEST(PageTest, TablesHaveWhatATerminalShows) {
   Table table({{"contact"}, {"empty"}, {"loss", 3}, {"verdict"}});
-  table.AddRow({"lcp", Cell(), 1.23456, Cell("wrong").With(Tone::kBad)});
+  table.AddRow({"lcp", Cell(), 1.23456, Cell("wrong").WithTone(Tone::kBad)});
   Page page("t");
   page.AddTable(table, "caption", {"a note"}, /*folded=*/true);
   const Json part = DocumentOf(page)["parts"][0];

@@ -6,7 +6,7 @@
 
 #include "programs/audit.h"
 #include "saltus/audit/audit.h"
-#include "saltus/simulate/own_contact.h"
+#include "saltus/simulate/user_contact.h"
 
 namespace saltus {
 namespace {
@@ -54,7 +54,7 @@ Scene Incline() {
 ModelAudit AuditOf(const Contact& contact, const Scene& scene) {
   AuditOptions options;
   options.refinement = {.levels = 4, .samples = 5};
-  return AuditModel(contact, scene, Precision::kDouble, ExactGradientOf(scene), options);
+  return AuditModel(contact, scene, Precision::kDouble, ComputeExactGradient(scene), options);
 }
 
 // The axes are independent: x(T) = r - e (p - r) - e v T.
@@ -62,13 +62,13 @@ TEST(AuditAtOnce, ACornerIsRightAndTwoSided) {
   for (const int steps : {40, 554, 1026}) {
     Scene scene = Corner();
     scene.steps = steps;
-    const ModelGradient exact = *ExactGradientOf(scene);
+    const ModelGradient exact = *ComputeExactGradient(scene);
     EXPECT_THAT(exact.one_sided, IsEmpty());
     const double expected[] = {-0.63, -0.91, -0.63, -0.91};
     for (int i = 0; i < 4; ++i) EXPECT_NEAR(exact.gradient.initial[i], expected[i], 1e-9);
     const ModelAudit audit = AuditOf("event", scene);
     EXPECT_EQ(audit.verdict, Verdict::kRight) << steps;
-    EXPECT_EQ(audit.Why(), "") << steps;
+    EXPECT_EQ(audit.VerdictReason(), "") << steps;
   }
 }
 
@@ -80,7 +80,7 @@ TEST(AuditAtOnce, SlopesThatDependOnTheOrderAreNamed) {
   for (const int steps : {2, 3, 4, 5, 40}) {
     Scene scene = GroundAndDisc();
     scene.steps = steps;
-    const ModelGradient exact = *ExactGradientOf(scene);
+    const ModelGradient exact = *ComputeExactGradient(scene);
     EXPECT_NEAR(exact.gradient.initial[0], 0, 1e-9);
     EXPECT_NEAR(exact.gradient.initial[4], -1, 1e-9);
     std::vector<OneSided> expected;
@@ -100,7 +100,8 @@ TEST(AuditAtOnce, WhereNothingCanBeJudgedTheVerdictSaysSo) {
   const ModelAudit audit = AuditOf("event", Incline());
   EXPECT_EQ(audit.verdict, Verdict::kOneSided);
   EXPECT_STREQ(VerdictToString(audit.verdict), "one-sided");
-  EXPECT_EQ(audit.Why(), "the loss has a kink: derivatives by the initial state are one-sided or do not exist");
+  EXPECT_EQ(audit.VerdictReason(),
+            "the loss has a kink: derivatives by the initial state are one-sided or do not exist");
 }
 
 // Free flight, in which velocities count twice at some lengths of the step.
@@ -128,7 +129,7 @@ struct Sometimes {
 TEST(AuditAtOnce, TheTableHasTheErrorThatDecided) {
   Scene scene = Corner();
   scene.bodies[0].velocity = {0.3, 0.2};
-  const ModelAudit audit = AuditOf(OwnContact<Sometimes>(), scene);
+  const ModelAudit audit = AuditOf(UserContact<Sometimes>(), scene);
   ASSERT_TRUE(audit.refinement);
   const QuantityStudy& study = *audit.refinement->Find(Quantity::kVelocity);
   double largest = 0;

@@ -333,9 +333,9 @@ TEST(Ends, AGradientOfTheProgramsOwnIsTakenBack) {
 
 // A program at work, with what it prints in a file and its progress on a terminal, where it is shown ten times a
 // second.
-class AtWork {
+class DescribeRunningJobs {
  public:
-  explicit AtWork(const std::string& command) {
+  explicit DescribeRunningJobs(const std::string& command) {
     const winsize size = {.ws_row = 24, .ws_col = 200, .ws_xpixel = 0, .ws_ypixel = 0};
     int programs_end = -1;
     if (openpty(&terminal_, &programs_end, nullptr, nullptr, &size) != 0) return;
@@ -348,7 +348,7 @@ class AtWork {
     }
     close(programs_end);
   }
-  ~AtWork() {
+  ~DescribeRunningJobs() {
     if (!started()) return;
     kill(process_, SIGKILL);
     waitpid(process_, nullptr, 0);
@@ -401,8 +401,9 @@ class AtWork {
 };
 
 TEST(Interrupts, SolveKeepsWhatIsDoneAndWhatItWasAt) {
-  AtWork program("saltus_solve --contact=event --solver=ceres_event,gd --iterations=1000000000 --threads=1 --json" +
-                 SceneFlag("two_balls"));
+  DescribeRunningJobs program(
+      "saltus_solve --contact=event --solver=ceres_event,gd --iterations=1000000000 --threads=1 --json" +
+      SceneFlag("two_balls"));
   if (!program.started()) GTEST_SKIP() << "no terminals here";
   ASSERT_TRUE(program.Says("event gd"));  // at work, it says
   ASSERT_TRUE(program.Works(1s));         // of thousands of iterations
@@ -431,7 +432,8 @@ std::string SlowScene() {
 
 TEST(Interrupts, AuditKeepsTheModelsThatAreDoneInTheMiddleOfAGradient) {
   const std::string scene = SlowScene();
-  AtWork program("saltus_audit --contact=direct,ncp,convex --friction=0.1 --threads=1 --json --scene=" + scene);
+  DescribeRunningJobs program("saltus_audit --contact=direct,ncp,convex --friction=0.1 --threads=1 --json --scene=" +
+                              scene);
   if (!program.started()) GTEST_SKIP() << "no terminals here";
   ASSERT_TRUE(program.Says("ncp"));
   const Outcome outcome = program.Interrupt();
@@ -449,7 +451,7 @@ TEST(Interrupts, AuditKeepsTheModelsThatAreDoneInTheMiddleOfAGradient) {
 
 TEST(Interrupts, ProblemProgramsAndReproduceStopToo) {
   {
-    AtWork program("two_balls --contact=event --solver=gd --iterations=1000000000");
+    DescribeRunningJobs program("two_balls --contact=event --solver=gd --iterations=1000000000");
     if (!program.started()) GTEST_SKIP() << "no terminals here";
     ASSERT_TRUE(program.Says("event gd"));
     const Outcome outcome = program.Interrupt();
@@ -457,7 +459,7 @@ TEST(Interrupts, ProblemProgramsAndReproduceStopToo) {
     EXPECT_THAT(outcome.output, AllOf(HasSubstr("verdict"), HasSubstr("interrupted")));
   }
   const std::string directory = TempFile("report");
-  AtWork program("saltus_reproduce --every_solver --threads=1 --output_dir=" + directory);
+  DescribeRunningJobs program("saltus_reproduce --every_solver --threads=1 --output_dir=" + directory);
   if (!program.started()) GTEST_SKIP() << "no terminals here";
   ASSERT_TRUE(program.Says("comparison of solvers"));
   const Outcome outcome = program.Interrupt();

@@ -466,7 +466,7 @@ TEST(HybridDocument, GuardsAreThoseUnderTheControlOfTheirInterval) {
   HybridInput input = problem.guess;
   for (int k = 0; k < input.num_intervals; ++k) input.lengths.push_back(1 + k);
   HybridSimulator simulator(problem.system, problem.integration);
-  ASSERT_TRUE(simulator.Rollout(input)) << simulator.WhyFailed();
+  ASSERT_TRUE(simulator.Rollout(input)) << simulator.FailureReason();
   const json motion = HybridMotionToJson(simulator, input, true, /*states=*/true);
   const std::vector<double> times = input.Times();
   int compared = 0;

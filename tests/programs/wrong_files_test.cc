@@ -35,7 +35,7 @@ class WrongFiles : public testing::Test {
     return "none";
   }
   std::string ErrorOfGiven(const std::string& text) const {
-    return ErrorOf(text, [&](const std::string& path) { (void)ReadGivenGradient(path, scene_); });
+    return ErrorOf(text, [&](const std::string& path) { (void)ReadExternalGradient(path, scene_); });
   }
   std::string ErrorOfReplay(const std::string& text) const {
     return ErrorOf(text, [](const std::string& path) { (void)ReadReplayFile(path, std::nullopt); });
@@ -87,7 +87,7 @@ TEST_F(WrongFiles, AGradientWithoutNumbersJudgesNothing) {
 TEST_F(WrongFiles, AGradientOfFixedDiscsOnlyJudgesNothing) {
   Scene scene = scene_;
   scene.bodies[1].fixed = true;
-  const auto read = [&](const std::string& path) { (void)ReadGivenGradient(path, scene); };
+  const auto read = [&](const std::string& path) { (void)ReadExternalGradient(path, scene); };
   EXPECT_THAT(ErrorOf(R"({"position": [null, [1, 2]]})", read), HasSubstr("no number of a disc that moves"));
   EXPECT_EQ(ErrorOf(R"({"position": [[1, 2], [1, 2]]})", read), "none");
 }
@@ -96,7 +96,7 @@ TEST_F(WrongFiles, AGradientHasRotationsOfDiscsThatSpinOnly) {
   const char* spin = R"({"angle": [null], "angular_velocity": [0.5]})";
   EXPECT_THAT(ErrorOfGiven(spin), HasSubstr("and of scenes with discs that spin angle and angular_velocity"));
   const Scene scene = ProblemScene("back_spin");
-  const auto read = [&](const std::string& path) { (void)ReadGivenGradient(path, scene); };
+  const auto read = [&](const std::string& path) { (void)ReadExternalGradient(path, scene); };
   EXPECT_EQ(ErrorOf(spin, read), "none");
   EXPECT_THAT(ErrorOf(R"({"angle": [null]})", read), HasSubstr("no number of a disc that moves"));
   EXPECT_THAT(ErrorOf(R"({"angle": [0.5, 0.5]})", read),

@@ -164,7 +164,7 @@ TEST(DesignScene, UnitsConvertValuesAndBounds) {
   units.time = 2;
   units.mass = 8;
   units.origin = {64, -64};
-  const Scene other = InUnits(scene, units);
+  const Scene other = ToUnits(scene, units);
   EXPECT_EQ(other.design[3].min, 0.125);
   EXPECT_EQ(other.design[5].max, (2 + 64.0) / 4);
   EXPECT_EQ(other.design[8].min, -0.125);

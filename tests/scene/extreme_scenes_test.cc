@@ -92,7 +92,7 @@ bool IsAcceptedAndConverts(const std::string& text) {
     return false;
   }
   const Scene& scene = std::get<Scene>(read);
-  for (const Scene& converted : {InNaturalUnits(scene), NearOrigin(scene)}) {
+  for (const Scene& converted : {ToNaturalUnits(scene), NearOrigin(scene)}) {
     const std::optional<SceneError> error = ValidateStructure(converted);
     EXPECT_FALSE(error) << error->ToString() << "\n" << text;
   }
@@ -148,10 +148,10 @@ TEST(ExtremeScenes, WhatIsFarOnTheOtherSideStaysValidNearTheOrigin) {
   scene.objective.terminal = {{.body = 0, .target = {-1e24, 1}}};
   scene.objective.via = {{.body = 0, .time = 0.5, .target = {1e24, 0}}};
   ASSERT_FALSE(Validate(scene)) << Validate(scene)->ToString();
-  EXPECT_EQ(WhyNotApplicable("direct", scene), "");
-  for (const Scene& converted : {InNaturalUnits(scene), NearOrigin(scene)}) {
+  EXPECT_EQ(ReasonNotApplicable("direct", scene), "");
+  for (const Scene& converted : {ToNaturalUnits(scene), NearOrigin(scene)}) {
     EXPECT_FALSE(ValidateStructure(converted)) << ValidateStructure(converted)->ToString();
-    EXPECT_EQ(WhyNotApplicable("direct", converted), "");
+    EXPECT_EQ(ReasonNotApplicable("direct", converted), "");
   }
 }
 
@@ -161,9 +161,9 @@ TEST(ExtremeScenes, ModelsSayWhatIsWrongInNaturalUnits) {
   scene.name = "far";
   scene.bodies = {{.name = "a", .radius = 0.1, .mass = 1e24, .inertia = {Inertia::Kind::kGiven, 1e-24}}};
   scene.planes = {{"ground", {0, -1e24}, {0, 1}}};
-  EXPECT_EQ(WhyNotApplicable("event", scene).find("the scene is wrong: bodies[0].inertia: found"), 0u)
-      << WhyNotApplicable("event", scene);
-  EXPECT_THAT(WhyNotApplicable("direct", scene), HasSubstr("expected a positive number, 1e-72 to 1e72"));
+  EXPECT_EQ(ReasonNotApplicable("event", scene).find("the scene is wrong: bodies[0].inertia: found"), 0u)
+      << ReasonNotApplicable("event", scene);
+  EXPECT_THAT(ReasonNotApplicable("direct", scene), HasSubstr("expected a positive number, 1e-72 to 1e72"));
 }
 
 TEST(ExtremeScenes, DiscsThatThresholdsAndRoundingWouldLoseAreRefused) {

@@ -163,7 +163,7 @@ TEST(ParseScene, ReadsGoalRegionsAndLimits) {
     EXPECT_TRUE(scene.objective.terminal[i].hard) << i;
     EXPECT_EQ(scene.objective.terminal[i].region, regions[i]) << i;
   }
-  const std::vector<SpeedLimit> limits = {{0, 0.5, SpeedLimit::At::kEnd}, {1, 2, SpeedLimit::At::kAlways}};
+  const std::vector<SpeedLimit> limits = {{0, 0.5, SpeedLimit::Timing::kEnd}, {1, 2, SpeedLimit::Timing::kAlways}};
   EXPECT_EQ(scene.objective.limits, limits);
   EXPECT_TRUE(scene.objective.HasConstraints());
   EXPECT_EQ(SceneOf(ParseScene(WriteScene(scene), "written")), scene);

@@ -46,7 +46,7 @@ SceneFileError ErrorOf(const std::string& control) {
 
 TEST(TorqueScene, IsReadAndWritten) {
   const Scene scene = SceneOf(Text(kControl));
-  EXPECT_THAT(scene.control.turned, ElementsAre(1, 2));
+  EXPECT_THAT(scene.control.torque_bodies, ElementsAre(1, 2));
   EXPECT_THAT(scene.control.initial_torque, ElementsAre(-0.5, 0.75));
   EXPECT_THAT(scene.control.max_torque, ElementsAre(0.5, 2));
   EXPECT_EQ(scene.control.initial[0], Vec2d(1, 2));
@@ -68,12 +68,12 @@ TEST(TorqueScene, RowsHaveThreeColumns) {
   // d/dtorque = d/d(torque / radius) / radius.
   EXPECT_THAT(RowsOfGradient(scene, std::vector<double>{1, 2, 3, 4, 5, 6, 7, 8}),
               ElementsAre(1, 2, 16, 3, 4, 0, 5, 6, 28));
-  EXPECT_EQ(WhyNoControl(scene, rows), "");
+  EXPECT_EQ(ValidateControlRows(scene, rows), "");
   std::vector<double> wrong = rows;
   wrong[9 + 5] = 1;
-  EXPECT_EQ(WhyNoControl(scene, wrong), "found a torque on a in interval 1, expected 0: it is not turned");
+  EXPECT_EQ(ValidateControlRows(scene, wrong), "found a torque on a in interval 1, expected 0: it is not turned");
   wrong.pop_back();
-  EXPECT_THAT(WhyNoControl(scene, wrong), HasSubstr("expected a multiple of 9"));
+  EXPECT_THAT(ValidateControlRows(scene, wrong), HasSubstr("expected a multiple of 9"));
 }
 
 // In any units it is the same motion and the same loss.
@@ -84,11 +84,11 @@ TEST(TorqueScene, HasUnits) {
   units.time = 0.25;
   units.mass = 4;
   units.loss = 2;
-  const Scene other = InUnits(scene, units);
+  const Scene other = ToUnits(scene, units);
   // N m = kg m^2 / s^2.
   EXPECT_EQ(other.control.initial_torque[1], 0.75 * 0.25 * 0.25 / (4 * 8 * 8));
   EXPECT_EQ(other.control.max_torque[0], 0.5 * 0.25 * 0.25 / (4 * 8 * 8));
-  EXPECT_EQ(InUnits(other, {}), scene);
+  EXPECT_EQ(ToUnits(other, {}), scene);
 }
 
 TEST(TorqueScene, SaysWhatIsWrong) {

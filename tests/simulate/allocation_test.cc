@@ -87,7 +87,7 @@ class AllocationOf : public testing::TestWithParam<std::string> {
  protected:
   // Evaluates twice to settle, then counts.
   void ExpectNone(const Scene& scene, Precision precision) {
-    if (!WhyNotApplicable(GetParam(), scene).empty()) return;
+    if (!ReasonNotApplicable(GetParam(), scene).empty()) return;
     SingleShooting shooting(MakeSimulator(GetParam(), scene, precision));
     std::vector<double> z = shooting.initial_guess(), gradient(z.size());
     double loss = 0;

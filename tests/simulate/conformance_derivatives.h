@@ -120,7 +120,7 @@ inline std::string CheckDegenerateStates(const Model& model) {
                         {.name = "b", .radius = 0.2, .mass = 2, .position = {0.4, 0.2}}};
         scene.planes = {{"ground", {0, 0}, {0, 1}}};
         scene.contact.friction = friction;
-        if (!model.why_not(scene).empty()) continue;
+        if (!model.reason_not_applicable(scene).empty()) continue;
         const std::unique_ptr<Simulator> simulator = model.make(scene);
         std::vector<double> initial = InitialState(scene), x(simulator->state_size()), next(x.size());
         initial[1] -= overlap;

@@ -15,7 +15,7 @@ namespace saltus::conformance {
 struct Model {
   ModelTraits traits;
   std::function<std::unique_ptr<Simulator>(const Scene&)> make;
-  std::function<std::string(const Scene&)> why_not;  // as WhyNotApplicable
+  std::function<std::string(const Scene&)> reason_not_applicable;  // as ReasonNotApplicable
 };
 
 template <typename... Parts>

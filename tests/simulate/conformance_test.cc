@@ -32,7 +32,7 @@ class EveryModel : public testing::TestWithParam<std::string> {
     const std::string name = GetParam();
     return {*FindContactModel(name),
             [name](const Scene& scene) { return MakeSimulator(name, scene, Precision::kDouble); },
-            [name](const Scene& scene) { return WhyNotApplicable(name, scene); }};
+            [name](const Scene& scene) { return ReasonNotApplicable(name, scene); }};
   }
   // Several discs, a fixed one and two planes; with friction if the model knows it.
   std::vector<Scene> Scenes() const {

@@ -15,7 +15,7 @@ class InNaturalUnitsTest : public testing::TestWithParam<const char*> {
   // Far from one in every unit, so that no factor is 1.
   Scene si_ = Rescaled(FourDiscs(GetParam() == std::string("direct_toi") ? 0 : 0.2),
                        {.name = "", .length = 0.25, .time = 0.5, .mass = 32, .loss = 128});
-  Scene natural_ = InNaturalUnits(si_);
+  Scene natural_ = ToNaturalUnits(si_);
   UnitFactors to_si_{natural_.units, si_.units};
 
   // Returns the factor of derivatives by the entries of a state.
@@ -98,7 +98,7 @@ TEST_P(InNaturalUnitsTest, LinearizationsAreTheSame) {
 }
 
 // A disc that flies turns by its angular velocity times the step, in radians and seconds, whatever its natural units.
-TEST(InNaturalUnits, AngularVelocityTurnsForTheWholeStep) {
+TEST(ToNaturalUnits, AngularVelocityTurnsForTheWholeStep) {
   Scene scene;
   scene.name = "turning";
   scene.duration = 1.5;

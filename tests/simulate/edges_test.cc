@@ -114,12 +114,12 @@ TEST(WallParts, HaveNames) {
   scene.arcs = {{"ring", {5, 5}, 1, 0, 2 * std::numbers::pi}};
   EXPECT_EQ(WallNamesOf(scene),
             (std::vector<std::string>{"ground", "table", "s", "s", "t", "t", "ring", "ring", "s.a", "s.b", "t.b"}));
-  EXPECT_NE(BeyondPlanes(scene), "");
+  EXPECT_NE(NonPlaneGeometry(scene), "");
   scene.segments.clear();
   scene.arcs.clear();
-  EXPECT_NE(BeyondPlanes(scene), "");
+  EXPECT_NE(NonPlaneGeometry(scene), "");
   scene.table.reset();
-  EXPECT_EQ(BeyondPlanes(scene), "");
+  EXPECT_EQ(NonPlaneGeometry(scene), "");
 }
 
 // Discs that move among edges: the grid never misses what comparing all finds.
@@ -179,7 +179,7 @@ TEST(BroadPhaseOfEdges, QuietStepsEndShortOfTheContact) {
 // The final state of a scene of one moving disc, and its derivatives by the initial one, by rows.
 std::vector<double> MotionOf(const std::string& model, const Scene& scene) {
   const auto simulator = MakeSimulator(model, scene, Precision::kDouble);
-  EXPECT_TRUE(simulator->Rollout(InitialState(scene), {})) << simulator->WhyFailed();
+  EXPECT_TRUE(simulator->Rollout(InitialState(scene), {})) << simulator->FailureReason();
   std::vector<double> state(simulator->state_size());
   simulator->GetState(simulator->num_steps(), state);
   std::vector<double> all(state.begin(), state.begin() + 4);
@@ -200,7 +200,7 @@ void ExpectSameMotion(const std::vector<double>& found, const std::vector<double
 
 class EveryModelOnEdges : public ::testing::TestWithParam<std::string> {
  protected:
-  bool Takes(const Scene& scene) const { return WhyNotApplicable(GetParam(), scene).empty(); }
+  bool Takes(const Scene& scene) const { return ReasonNotApplicable(GetParam(), scene).empty(); }
 };
 
 // Whether a disc falls on a plane or on a segment, or the side of a polygon, in its place.
@@ -235,7 +235,7 @@ TEST_P(EveryModelOnEdges, AnEndIsASmallDisc) {
   end.bodies.pop_back();
   end.segments = {{"shelf", {-2, 0}, {0, 0}}};
   if (FindContactModel(GetParam())->spins) GTEST_SKIP() << "discs grip each other otherwise than walls";
-  if (!Takes(disc) || !Takes(end)) GTEST_SKIP() << WhyNotApplicable(GetParam(), end);
+  if (!Takes(disc) || !Takes(end)) GTEST_SKIP() << ReasonNotApplicable(GetParam(), end);
   ExpectSameMotion(MotionOf(GetParam(), end), MotionOf(GetParam(), disc), 1e-4);
 }
 

@@ -65,7 +65,7 @@ struct Rollout {
   Rollout(const Contact& contact, const Scene& scene)
       : simulator(MakeSimulator(contact, scene, Precision::kDouble)), end(simulator->state_size()) {
     EXPECT_TRUE(simulator->Rollout(InitialState(scene), InitialControl(scene, simulator->num_steps())))
-        << contact.name() << ": " << simulator->WhyFailed();
+        << contact.name() << ": " << simulator->FailureReason();
     simulator->GetState(simulator->num_steps(), end);
   }
   Vec2d Velocity(int body) const {
@@ -100,15 +100,15 @@ TEST(Materials, EachPairIsThatOfASceneWithoutMaterials) {
     const Contact contact(model.name);
     const bool couples = std::isinf(model.push_gap);  // which takes many contacts in each step
     Scene scene = ThreePairs(true, couples ? 24 : 240);
-    if (!WhyNotApplicable(contact, scene).empty()) scene = ThreePairs(false);
-    const bool of_planes = !WhyNotApplicable(contact, scene).empty();  // it takes no walls that end
+    if (!ReasonNotApplicable(contact, scene).empty()) scene = ThreePairs(false);
+    const bool of_planes = !ReasonNotApplicable(contact, scene).empty();  // it takes no walls that end
     if (of_planes) {
       scene = ThreePairs(true);
       scene.segments.clear();
       scene.planes = {{"floor", {0, 0}, {0, 1}, 1}};
     }
-    if (!WhyNotApplicable(contact, scene).empty()) {
-      ADD_FAILURE() << model.name << ": " << WhyNotApplicable(contact, scene);
+    if (!ReasonNotApplicable(contact, scene).empty()) {
+      ADD_FAILURE() << model.name << ": " << ReasonNotApplicable(contact, scene);
       continue;
     }
     ++models;
@@ -165,7 +165,7 @@ TEST(Materials, ModelsConvergeToTheEventModel) {
   const Rollout exact("event", ThreePairs(false));
   for (const ModelTraits& model : AllContactModels()) {
     if (model.rebound != Rebound::kRestitution || model.compliant) continue;
-    if (!WhyNotApplicable(model.name, ThreePairs(false)).empty()) continue;
+    if (!ReasonNotApplicable(model.name, ThreePairs(false)).empty()) continue;
     const Rollout run(Contact(model.name), ThreePairs(false, 8000));
     for (int disc = 0; disc < 2; ++disc) {
       const double rebound = std::pow(kRestitution[disc], model.restitution_power) * 2;
@@ -198,7 +198,7 @@ TEST(Materials, ContactsOfOneGroupHaveTheirOwnFriction) {
   EXPECT_NEAR(exact.Velocity(0)[0] + exact.Velocity(1)[0], 4 - lost, 1e-10);
   EXPECT_NEAR(exact.Velocity(1)[0], 2 - lost / 2, 1e-10);
   for (const ModelTraits& model : AllContactModels()) {
-    if (!WhyNotApplicable(model.name, scene).empty()) continue;
+    if (!ReasonNotApplicable(model.name, scene).empty()) continue;
     const Rollout pair(model.name, scene), one(model.name, alone);
     const double braked = 2 - one.Velocity(0)[0], both = 4 - pair.Velocity(0)[0] - pair.Velocity(1)[0];
     EXPECT_NEAR(both, braked, 0.05 * lost) << model.name;
@@ -219,7 +219,7 @@ TEST(Materials, AllAlikeChangeNothing) {
   for (const Combine combine : {Combine::kMean, Combine::kMin, Combine::kMax}) {
     alike.combine = combine;
     for (const ModelTraits& model : AllContactModels()) {
-      if (!WhyNotApplicable(model.name, scene).empty()) continue;
+      if (!ReasonNotApplicable(model.name, scene).empty()) continue;
       const Rollout plain(model.name, scene), with(model.name, alike);
       EXPECT_EQ(plain.end, with.end) << model.name;
       if (combine != Combine::kMean) continue;
@@ -250,7 +250,7 @@ TEST(Materials, DerivativesOfDifferences) {
         return Rollout(model, near).Loss();
       };
       const double expected = (at(width) - at(-width)) / (2 * width);
-      const double by = ByContact(parameter, gradient.parameters);
+      const double by = ContactDerivative(parameter, gradient.parameters);
       EXPECT_NEAR(by, expected, 1e-6 * (1 + std::abs(expected))) << model << " " << NameOf(parameter, scene);
       EXPECT_EQ(gradient.parameters.design[i], by) << model;
     }
@@ -288,7 +288,7 @@ TEST(Materials, RulesAndNamesOfPairs) {
 // Models that know one restitution and one friction refuse such scenes, with the reason.
 TEST(Materials, WhatKnowsOneOfThemRefuses) {
   const Scene scene = ThreePairs(true);
-  EXPECT_THAT(WhyNotApplicable(LearnedContact(RestitutionNetwork(2, 3, 0.5)), scene),
+  EXPECT_THAT(ReasonNotApplicable(LearnedContact(RestitutionNetwork(2, 3, 0.5)), scene),
               HasSubstr("the scene has materials: this model has one restitution"));
 }
 

@@ -11,9 +11,9 @@ namespace {
 using testing::HasSubstr;
 
 TEST(Registry, NamesWithOptions) {
-  EXPECT_EQ(WhatIsWrongWith("event"), "");
-  EXPECT_EQ(WhatIsWrongWith("ncp:kappa=1e-6:kappa_grad=1e-4"), "");
-  EXPECT_EQ(WhatIsWrongWith("lcp_kkt:released_backward=1"), "");
+  EXPECT_EQ(Validate("event"), "");
+  EXPECT_EQ(Validate("ncp:kappa=1e-6:kappa_grad=1e-4"), "");
+  EXPECT_EQ(Validate("lcp_kkt:released_backward=1"), "");
   EXPECT_EQ(FindContactModel("ncp:kappa=1e-6")->name, "ncp");
   EXPECT_EQ(FindContactModel("nc:kappa=1e-6"), nullptr);
   EXPECT_TRUE(OptionsOf("event").empty());
@@ -22,18 +22,18 @@ TEST(Registry, NamesWithOptions) {
 }
 
 TEST(Registry, SaysWhatIsWrong) {
-  EXPECT_THAT(WhatIsWrongWith("evnt"), HasSubstr("found 'evnt', expected a contact model: lcp, "));
-  EXPECT_THAT(WhatIsWrongWith("event:x=1"), HasSubstr("found 'x', expected no options of event"));
-  EXPECT_THAT(WhatIsWrongWith("ncp:kapa=1"), HasSubstr("found 'kapa', expected one of the options kappa, kappa_grad"));
-  EXPECT_THAT(WhatIsWrongWith("ncp:kappa"), HasSubstr("found 'kappa', expected kappa= and a number in 1e-12..1"));
-  EXPECT_THAT(WhatIsWrongWith("ncp:"), HasSubstr("found ''"));
+  EXPECT_THAT(Validate("evnt"), HasSubstr("found 'evnt', expected a contact model: lcp, "));
+  EXPECT_THAT(Validate("event:x=1"), HasSubstr("found 'x', expected no options of event"));
+  EXPECT_THAT(Validate("ncp:kapa=1"), HasSubstr("found 'kapa', expected one of the options kappa, kappa_grad"));
+  EXPECT_THAT(Validate("ncp:kappa"), HasSubstr("found 'kappa', expected kappa= and a number in 1e-12..1"));
+  EXPECT_THAT(Validate("ncp:"), HasSubstr("found ''"));
   for (const char* wrong : {"xpbd:substeps=",
                             "xpbd:substeps=1.5",
                             "xpbd:substeps=0",
                             "xpbd:substeps=2x",
                             "xpbd:substeps=nan",
                             "xpbd:substeps=10001"}) {
-    EXPECT_THAT(WhatIsWrongWith(wrong), HasSubstr("a whole number in 1..10000")) << wrong;
+    EXPECT_THAT(Validate(wrong), HasSubstr("a whole number in 1..10000")) << wrong;
   }
 }
 
@@ -90,7 +90,7 @@ TEST(Registry, OptionsChangeTheRollout) {
                               "xpbd:compliance=1e-4",
                               "xpbd:substeps=2",
                               "xpbd:published_bound=1"}) {
-    EXPECT_EQ(WhatIsWrongWith(contact), "");
+    EXPECT_EQ(Validate(contact), "");
     EXPECT_NE(end_of(contact), end_of(std::string(FindContactModel(contact)->name))) << contact;
   }
 }

@@ -33,7 +33,7 @@ const std::vector<Case>& AllCases() {
                                                              {"four_discs_with_friction", FourDiscs(0.3)}};
   for (const ModelTraits& model : AllContactModels()) {
     for (const auto& [name, scene] : scenes) {
-      if (!WhyNotApplicable(model.name, scene).empty()) continue;
+      if (!ReasonNotApplicable(model.name, scene).empty()) continue;
       // Models that act at a distance solve for all discs in every step; of many they are tested by their own tests.
       if (model.push_gap > 0 && scene.num_bodies() > 2) continue;
       cases.push_back({std::string(model.name), name, scene});

@@ -54,7 +54,7 @@ class SolveRecordTest : public testing::Test {
 };
 
 TEST_F(SolveRecordTest, AGradientSolvesNothing) {
-  SingleShooting shooting = Shooting(ProblemScene("two_balls"), SingleShooting::Variables::kOfScene);
+  SingleShooting shooting = Shooting(ProblemScene("two_balls"), SingleShooting::Variables::kOptimized);
   std::vector<double> gradient(shooting.num_variables());
   double loss;
   ASSERT_TRUE(shooting.Evaluate(shooting.initial_guess(), &loss, nullptr));

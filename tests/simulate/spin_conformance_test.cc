@@ -56,13 +56,13 @@ class EveryModelThatSpins : public testing::TestWithParam<std::string> {
   // slide: the corrections and the impulses are not those of one force.
   bool CorrectsAnglesByItsSource() const { return traits().spins && traits().projects; }
   std::unique_ptr<Simulator> Make(const Scene& scene) const {
-    EXPECT_EQ(WhyNotApplicable(GetParam(), scene), "");
+    EXPECT_EQ(ReasonNotApplicable(GetParam(), scene), "");
     return MakeSimulator(GetParam(), scene, Precision::kDouble);
   }
   Ends Run(const Scene& scene) const {
     const std::unique_ptr<Simulator> simulator = Make(scene);
     EXPECT_TRUE(simulator->Rollout(InitialState(scene), InitialControl(scene, simulator->num_steps())))
-        << simulator->WhyFailed();
+        << simulator->FailureReason();
     Ends ends{std::vector<double>(simulator->state_size()), std::vector<double>(simulator->state_size())};
     simulator->GetState(0, ends.start);
     simulator->GetState(simulator->num_steps(), ends.end);
@@ -173,7 +173,7 @@ TEST_P(EveryModelThatSpins, LinearizesItsStep) {
 std::vector<std::string> ModelsThatSpin() {
   std::vector<std::string> names;
   for (const ModelTraits& model : AllContactModels()) {
-    if (WhyNotApplicable(model.name, DiscOnPlane(0, 1)).empty()) names.emplace_back(model.name);
+    if (ReasonNotApplicable(model.name, DiscOnPlane(0, 1)).empty()) names.emplace_back(model.name);
   }
   return names;
 }
@@ -183,7 +183,7 @@ INSTANTIATE_TEST_SUITE_P(Registry, EveryModelThatSpins, testing::ValuesIn(Models
 
 TEST(SpinConformance, AllTurnButWhatSticksWhateverTouches) {
   EXPECT_EQ(ModelsThatSpin().size(), AllContactModels().size() - 1);
-  EXPECT_NE(WhyNotApplicable("static_lcp", DiscOnPlane(0, 1)), "");
+  EXPECT_NE(ReasonNotApplicable("static_lcp", DiscOnPlane(0, 1)), "");
 }
 
 // Whose law of impact is the exact one, with friction.
@@ -218,7 +218,7 @@ double MeanError(const char* name, int steps) {
     std::vector<double> ends[2];
     for (const int exact : {0, 1}) {
       const auto simulator = MakeSimulator(exact ? "event" : name, scene, Precision::kDouble);
-      EXPECT_TRUE(simulator->Rollout(InitialState(scene), InitialControl(scene, steps))) << simulator->WhyFailed();
+      EXPECT_TRUE(simulator->Rollout(InitialState(scene), InitialControl(scene, steps))) << simulator->FailureReason();
       ends[exact].resize(simulator->state_size());
       simulator->GetState(steps, ends[exact]);
     }

@@ -87,23 +87,23 @@ struct BrakesAtImpacts : Direct<true> {
 };
 
 template <typename M, typename S = double>
-std::string WhyFailed(const Scene& scene) {
+std::string FailureReason(const Scene& scene) {
   const std::unique_ptr<Simulator> simulator = MakeModelSimulator<M, S>(scene);
   const bool ran = simulator->Rollout(InitialState(scene), InitialControl(scene, simulator->num_steps()));
-  EXPECT_EQ(ran, simulator->WhyFailed().empty());
-  return simulator->WhyFailed();
+  EXPECT_EQ(ran, simulator->FailureReason().empty());
+  return simulator->FailureReason();
 }
 
 TEST(StepContract, IsKeptByAModelThatReports) {
-  EXPECT_THAT(WhyFailed<Direct<true>>(ProblemScene("two_balls")), IsEmpty());
-  EXPECT_THAT((WhyFailed<Direct<true>, float>(ProblemScene("two_balls"))), IsEmpty());
+  EXPECT_THAT(FailureReason<Direct<true>>(ProblemScene("two_balls")), IsEmpty());
+  EXPECT_THAT((FailureReason<Direct<true>, float>(ProblemScene("two_balls"))), IsEmpty());
 }
 
 TEST(StepContract, AForgottenReportFailsTheRollout) {
   const auto says = AllOf(HasSubstr("step 331 of direct_toi"), HasSubstr("reports no contact"), HasSubstr("(striker)"));
-  EXPECT_THAT(WhyFailed<ForgetsReport>(ProblemScene("two_balls")), says);
-  EXPECT_THAT((WhyFailed<ForgetsReport, float>(ProblemScene("two_balls"))), HasSubstr("reports no contact"));
-  EXPECT_THAT(WhyFailed<ForgetsReport>(ProblemScene("bounce_once")), HasSubstr("reports no contact"));
+  EXPECT_THAT(FailureReason<ForgetsReport>(ProblemScene("two_balls")), says);
+  EXPECT_THAT((FailureReason<ForgetsReport, float>(ProblemScene("two_balls"))), HasSubstr("reports no contact"));
+  EXPECT_THAT(FailureReason<ForgetsReport>(ProblemScene("bounce_once")), HasSubstr("reports no contact"));
 }
 
 TEST(StepContract, AForgottenReportGivesNoGradient) {
@@ -121,7 +121,7 @@ TEST(StepContract, AFailureIsForgottenWithTheNextRollout) {
   EXPECT_FALSE(simulator->Rollout(InitialState(scene), control));
   std::fill(control.begin(), control.end(), 0.0);
   EXPECT_TRUE(simulator->Rollout(InitialState(scene), control));
-  EXPECT_THAT(simulator->WhyFailed(), IsEmpty());
+  EXPECT_THAT(simulator->FailureReason(), IsEmpty());
 }
 
 TEST(StepContract, OneOfTwoContactsIsNotEnough) {
@@ -131,20 +131,20 @@ TEST(StepContract, OneOfTwoContactsIsNotEnough) {
   scene.bodies = {{.name = "a", .radius = 0.2, .position = {-0.5, 0}, .velocity = {3, 0}},
                   {.name = "b", .radius = 0.2, .position = {0.2, 0.25}},
                   {.name = "c", .radius = 0.2, .position = {0.2, -0.25}}};
-  EXPECT_THAT(WhyFailed<ReportsTheFirst>(scene), AllOf(HasSubstr("reports no contact"), HasSubstr("(c)")));
-  EXPECT_THAT(WhyFailed<Direct<true>>(scene), IsEmpty());
+  EXPECT_THAT(FailureReason<ReportsTheFirst>(scene), AllOf(HasSubstr("reports no contact"), HasSubstr("(c)")));
+  EXPECT_THAT(FailureReason<Direct<true>>(scene), IsEmpty());
 }
 
 TEST(StepContract, AContactOfWhatThereIsNotIsRefused) {
-  EXPECT_THAT(WhyFailed<ReportsAnything>(ProblemScene("two_balls")), HasSubstr("is not among its candidates"));
+  EXPECT_THAT(FailureReason<ReportsAnything>(ProblemScene("two_balls")), HasSubstr("is not among its candidates"));
 }
 
 TEST(StepContract, FreeFlightMustBeAffine) {
-  EXPECT_THAT(WhyFailed<HasQuadraticDrag>(ProblemScene("two_balls")), HasSubstr("not affine"));
+  EXPECT_THAT(FailureReason<HasQuadraticDrag>(ProblemScene("two_balls")), HasSubstr("not affine"));
 }
 
 TEST(StepContract, AStepThatFailsSaysWhich) {
-  EXPECT_THAT(WhyFailed<NeverArrives>(ProblemScene("two_balls")),
+  EXPECT_THAT(FailureReason<NeverArrives>(ProblemScene("two_balls")),
               HasSubstr("step 331 of direct_toi: nothing converges"));
 }
 
@@ -154,7 +154,7 @@ TEST(StepContract, AStateThatIsNotFiniteSaysWhich) {
   control[2 * 17 + 1] = std::numeric_limits<double>::infinity();
   const auto simulator = MakeSimulator("direct_toi", scene, Precision::kDouble);
   EXPECT_FALSE(simulator->Rollout(InitialState(scene), control));
-  EXPECT_EQ(simulator->WhyFailed(), "step 17 of direct_toi: the state is not finite (striker)");
+  EXPECT_EQ(simulator->FailureReason(), "step 17 of direct_toi: the state is not finite (striker)");
 }
 
 // A single step has no other way to say so.

@@ -28,7 +28,8 @@ Scene Turned(double height, double friction, int steps = 60) {
                   Spinning("a", kRadius, kMass, {0, kRadius + height}, {0.5, -2}, 4)};
   scene.planes = {{"ground", {0, 0}, {0, 1}}};
   scene.contact = {.restitution = 0.6, .friction = friction, .stiffness = 1e4, .damping = 0};
-  scene.control = {.bodies = {0, 1}, .initial = {{0.1, 0.2}, {0.3, -0.4}}, .turned = {1}, .initial_torque = {0.05}};
+  scene.control = {
+      .bodies = {0, 1}, .initial = {{0.1, 0.2}, {0.3, -0.4}}, .torque_bodies = {1}, .initial_torque = {0.05}};
   return scene;
 }
 
@@ -43,13 +44,13 @@ class EveryModelThatTurns : public testing::TestWithParam<std::string> {
   const ModelTraits& traits() const { return *FindContactModel(GetParam()); }
   double Friction() const { return traits().friction ? 0.2 : 0.0; }
   std::unique_ptr<Simulator> Make(const Scene& scene) const {
-    EXPECT_EQ(WhyNotApplicable(GetParam(), scene), "");
+    EXPECT_EQ(ReasonNotApplicable(GetParam(), scene), "");
     return MakeSimulator(GetParam(), scene, Precision::kDouble);
   }
 };
 
 std::vector<double> EndOf(Simulator* simulator, const std::vector<double>& control) {
-  EXPECT_TRUE(simulator->Rollout(InitialState(simulator->scene()), control)) << simulator->WhyFailed();
+  EXPECT_TRUE(simulator->Rollout(InitialState(simulator->scene()), control)) << simulator->FailureReason();
   std::vector<double> end(simulator->state_size());
   simulator->GetState(simulator->num_steps(), end);
   return end;
@@ -90,7 +91,7 @@ TEST_P(EveryModelThatTurns, GradientByTorqueIsThatOfDifferences) {
       return sum;
     };
     for (const int k : {0, simulator->num_steps() / 3, simulator->num_steps() - 1}) {
-      const size_t at = scene.TurnIndex(k, 0);
+      const size_t at = scene.TorqueIndex(k, 0);
       std::vector<double> more = control, less = control;
       const double width = 1e-4;
       more[at] += width;
@@ -152,7 +153,8 @@ TEST_P(EveryModelThatTurns, LinearizationsAreTheAdjoint) {
 std::vector<std::string> ModelsThatTurn() {
   std::vector<std::string> names;
   for (const ModelTraits& model : AllContactModels()) {
-    if (WhyNotApplicable(model.name, Turned(kHigh, model.friction ? 0.2 : 0)).empty()) names.emplace_back(model.name);
+    if (ReasonNotApplicable(model.name, Turned(kHigh, model.friction ? 0.2 : 0)).empty())
+      names.emplace_back(model.name);
   }
   return names;
 }
@@ -195,7 +197,7 @@ TEST(Torque, DrivesARollingDisc) {
     Sensitivity gradient;
     simulator->Adjoint(cotangent, /*with_parameters=*/false, &gradient);
     const double slope = rolls ? 0.05 * rolling / torque * kRadius : 0;
-    EXPECT_NEAR(gradient.control[scene.TurnIndex(0, 0)], slope, 1e-9);
+    EXPECT_NEAR(gradient.control[scene.TorqueIndex(0, 0)], slope, 1e-9);
   }
 }
 

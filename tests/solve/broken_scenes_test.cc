@@ -43,13 +43,13 @@ TEST(BrokenScenes, AScenePartsOfWhichAreMissingCanBeSimulated) {
   scene.bodies[1].position = scene.bodies[0].position + Vec2d(0.1, 0);
   EXPECT_TRUE(Validate(scene));
   EXPECT_FALSE(ValidateStructure(scene));
-  EXPECT_THAT(WhyNotApplicable("direct_toi", scene), IsEmpty());
+  EXPECT_THAT(ReasonNotApplicable("direct_toi", scene), IsEmpty());
 }
 
 TEST(BrokenScenes, NoModelTakesThem) {
   for (const BrokenScene& broken : BrokenScenes()) {
     for (const ModelTraits& model : AllContactModels()) {
-      EXPECT_THAT(WhyNotApplicable(model.name, broken.scene), Names(broken)) << model.name;
+      EXPECT_THAT(ReasonNotApplicable(model.name, broken.scene), Names(broken)) << model.name;
       EXPECT_THAT(ComputeGradient(model.name, broken.scene, Precision::kDouble).reason, Names(broken));
     }
   }
@@ -72,17 +72,17 @@ TEST(BrokenScenes, NoSolverTakesThem) {
 TEST(BrokenScenes, NoAuditTakesThem) {
   for (const BrokenScene& broken : BrokenScenes()) {
     const Scene& scene = broken.scene;
-    EXPECT_FALSE(ExactGradientOf(scene)) << broken.key;
+    EXPECT_FALSE(ComputeExactGradient(scene)) << broken.key;
     const ModelAudit audit = AuditModel("direct_toi", scene, Precision::kDouble, std::nullopt, {.width_sweep = true});
     EXPECT_THAT(audit.gradient.reason, Names(broken));
-    EXPECT_THAT(audit.Why(), IsEmpty());
+    EXPECT_THAT(audit.VerdictReason(), IsEmpty());
     EXPECT_THAT(ComputeSurrogate("direct_toi", scene, Precision::kDouble, {}).reason, Names(broken));
     EXPECT_THAT(StudyRefinement("direct_toi", scene).reason, Names(broken));
     EXPECT_THAT(AttributeError("direct_toi", scene).reason, Names(broken));
     EXPECT_THAT(RecogniseContact("direct_toi", scene).words, Names(broken));
     EXPECT_THAT(SweepWidths("direct_toi", scene).reason, Names(broken));
     EXPECT_FALSE(MeasureConditioning(scene));
-    EXPECT_EQ(CompareWithOwnDifferences("direct_toi", scene).agreement, Agreement::kUndecided);
+    EXPECT_EQ(CheckGradient("direct_toi", scene).agreement, Agreement::kUndecided);
   }
 }
 
@@ -96,16 +96,16 @@ TEST(BrokenScenes, NothingExactTakesThem) {
     optimized.optimize = Optimize::kControl;
     const Certificate certificate = Certify(optimized, initial, control);
     EXPECT_EQ(certificate.verdict, Certificate::Verdict::kNotApplicable) << broken.key;
-    std::string why_not;
-    EXPECT_FALSE(EvaluateClosedForm(scene, &why_not));
-    EXPECT_THAT(why_not, Names(broken));
-    EXPECT_FALSE(FindTwoDiscOptimum(scene, TwoDiscSequence::kImpact, &why_not));
-    EXPECT_THAT(why_not, Names(broken));
-    EXPECT_FALSE(FindGridOptimum(scene, TwoDiscSequence::kImpactThenPlane, &why_not));
-    EXPECT_THAT(why_not, Names(broken));
-    EXPECT_FALSE(OptimizeWithImpactAt(scene, TwoDiscSequence::kImpact, 3, &why_not));
-    EXPECT_THAT(FindLaunchSolutions(scene, 1, &why_not), IsEmpty());
-    EXPECT_THAT(why_not, Names(broken));
+    std::string reason_not_applicable;
+    EXPECT_FALSE(EvaluateClosedForm(scene, &reason_not_applicable));
+    EXPECT_THAT(reason_not_applicable, Names(broken));
+    EXPECT_FALSE(FindTwoDiscOptimum(scene, TwoDiscSequence::kImpact, &reason_not_applicable));
+    EXPECT_THAT(reason_not_applicable, Names(broken));
+    EXPECT_FALSE(FindGridOptimum(scene, TwoDiscSequence::kImpactThenPlane, &reason_not_applicable));
+    EXPECT_THAT(reason_not_applicable, Names(broken));
+    EXPECT_FALSE(OptimizeWithImpactAt(scene, TwoDiscSequence::kImpact, 3, &reason_not_applicable));
+    EXPECT_THAT(FindLaunchSolutions(scene, 1, &reason_not_applicable), IsEmpty());
+    EXPECT_THAT(reason_not_applicable, Names(broken));
   }
 }
 
@@ -123,9 +123,9 @@ TEST(BrokenScenesDeathTest, ASimulatorIsNotMadeOfThem) {
 TEST(WrongArguments, UnknownNamesAreSaidSo) {
   const Scene scene = SceneToBreak();
   const auto unknown = AllOf(HasSubstr("found 'nonsense', expected a contact model"), HasSubstr("direct_toi"));
-  EXPECT_THAT(WhyNotApplicable("nonsense", scene), unknown);
-  EXPECT_THAT(WhyNotApplicable("ncp:kapa=1", scene), HasSubstr("found 'kapa'"));
-  EXPECT_THAT(WhyNotApplicable("ncp:kappa=-1", scene), HasSubstr("expected kappa= and a number"));
+  EXPECT_THAT(ReasonNotApplicable("nonsense", scene), unknown);
+  EXPECT_THAT(ReasonNotApplicable("ncp:kapa=1", scene), HasSubstr("found 'kapa'"));
+  EXPECT_THAT(ReasonNotApplicable("ncp:kappa=-1", scene), HasSubstr("expected kappa= and a number"));
   EXPECT_THAT(ComputeGradient("nonsense", scene, Precision::kDouble).reason, unknown);
   EXPECT_THAT(ComputeSurrogate("nonsense", scene, Precision::kDouble, {}).reason, unknown);
   EXPECT_THAT(AuditModel("nonsense", scene, Precision::kDouble, std::nullopt).gradient.reason, unknown);
@@ -134,7 +134,7 @@ TEST(WrongArguments, UnknownNamesAreSaidSo) {
   EXPECT_THAT(RecogniseContact("nonsense", scene).words, unknown);
   EXPECT_THAT(SweepWidths("nonsense", scene).reason, unknown);
   EXPECT_THAT(Solve("gd", {.scene = scene, .contact = "nonsense"}, {}).reason, unknown);
-  EXPECT_THAT(WhyNotApplicable(Surrogate{.kind = SurrogateKind::kComplementarityAware}, "nonsense", scene), unknown);
+  EXPECT_THAT(ReasonNotApplicable(Surrogate{.kind = SurrogateKind::kComplementarityAware}, "nonsense", scene), unknown);
   const SolveReport report = Solve("nonsense", {.scene = scene, .contact = "event"}, {});
   EXPECT_EQ(report.termination, Termination::kNotApplicable);
   EXPECT_THAT(report.reason, AllOf(HasSubstr("solver: found 'nonsense', expected a solver"), HasSubstr("ceres_lm")));

@@ -241,7 +241,7 @@ TEST(ConstrainedSolvers, GiveTheSameInOtherUnits) {
   for (const char* name : {"max_3.5", "hard_target", "free_time", "running"}) {
     for (const char* solver : {"ceres_lbfgs", "ceres_lm", "ceres_phases", "hmp"}) {
       const Scene scene = SceneOf(Reference(name), 60);
-      Scene rescaled = InUnits(scene, units);
+      Scene rescaled = ToUnits(scene, units);
       rescaled.units = {};
       SolverOptions options;
       options.limits.iterations = 50;

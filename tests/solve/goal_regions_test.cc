@@ -109,7 +109,7 @@ TEST_P(GoalRegions, HoldOneComponentAlone) {
 TEST_P(GoalRegions, BoundAnAngularVelocity) {
   Scene scene = PushedDisc();
   scene.bodies[0].inertia.kind = Inertia::Kind::kSolid;
-  scene.control.turned = {0};
+  scene.control.torque_bodies = {0};
   scene.control.initial_torque = {0.01};
   scene.objective.terminal = {GoalOf({3, -kNone}, {5, kNone})};
   scene.objective.terminal[0].quantity = TerminalTerm::Quantity::kAngularVelocity;
@@ -129,7 +129,7 @@ TEST_P(GoalRegions, ChangeNothingAroundAFreeOptimum) {
   const SolveReport free = Solve("ceres_phases", {scene, "event"}, {});
   ASSERT_EQ(free.termination, Termination::kConverged) << free.reason;
   scene.objective.terminal.push_back(GoalOf({0, 0}, {2, 2}));
-  scene.objective.limits = {{.body = 0, .max = 10, .at = SpeedLimit::At::kAlways}};
+  scene.objective.limits = {{.body = 0, .max = 10, .at = SpeedLimit::Timing::kAlways}};
   const SolveReport report = Solve(GetParam(), {scene, "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   EXPECT_NEAR(report.solution.loss, free.solution.loss, 1e-8 * free.solution.loss);
@@ -145,7 +145,7 @@ TEST_P(GoalRegions, LimitTheSpeedAtTheEnd) {
   Scene scene = PushedDisc();
   const Vec2d way(0.6, 0.8);
   scene.objective.terminal = {{.target = way, .hard = true}};
-  scene.objective.limits = {{.body = 0, .max = kMost, .at = SpeedLimit::At::kEnd}};
+  scene.objective.limits = {{.body = 0, .max = kMost, .at = SpeedLimit::Timing::kEnd}};
   const SolveReport report = Solve(GetParam(), {scene, "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   const Eigen::Vector2d changes(1, kMost), slopes = Reach().inverse() * changes;
@@ -173,7 +173,7 @@ TEST_P(GoalRegions, LimitTheSpeedAlways) {
   const auto solve = [](double most, Scene* scene) {
     *scene = PushedDisc();
     scene->objective.terminal = {{.target = {0.6, 0.8}, .hard = true}};
-    scene->objective.limits = {{.body = 0, .max = most, .at = SpeedLimit::At::kAlways}};
+    scene->objective.limits = {{.body = 0, .max = most, .at = SpeedLimit::Timing::kAlways}};
     const SolveReport report = Solve(GetParam(), {*scene, "event"}, {});
     EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
     return report;
@@ -227,7 +227,7 @@ TEST(SpeedLimit, HasMultipliersUpToAnImpact) {
     scene->steps = 60;
     scene->objective.terminal = {GoalOf({0, -kNone}, {0.5, 0.5})};
     scene->objective.terminal[0].body = 1;
-    scene->objective.limits = {{.body = 0, .max = most, .at = SpeedLimit::At::kAlways}};
+    scene->objective.limits = {{.body = 0, .max = most, .at = SpeedLimit::Timing::kAlways}};
     const SolveReport report = Solve("ceres_phases", {*scene, "event"}, {});
     EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
     return report;
@@ -257,7 +257,7 @@ TEST(GoalRegion, LeavesAMassToBeChosen) {
   scene.steps = 60;
   scene.objective.terminal = {GoalOf({0, -kNone}, {0.5, 0.5})};
   scene.objective.terminal[0].body = 1;
-  scene.objective.limits = {{.body = 1, .max = 2.5, .at = SpeedLimit::At::kEnd}};
+  scene.objective.limits = {{.body = 1, .max = 2.5, .at = SpeedLimit::Timing::kEnd}};
   Scene designed = scene;
   designed.design = {{.parameter = {.kind = SceneParameter::Kind::kMass, .body = 1}, .min = 0.5, .max = 2}};
   const SolveReport report = Solve("ceres_phases", {designed, "event"}, {});
@@ -278,7 +278,7 @@ TEST(GoalRegion, LeavesAMassToBeChosen) {
 TEST(GoalRegion, LeavesAMassUnderALimitToBeChosen) {
   Scene scene = ProblemScene("two_balls");
   scene.steps = 60;
-  scene.objective.limits = {{.body = 0, .max = 2.2, .at = SpeedLimit::At::kAlways}};
+  scene.objective.limits = {{.body = 0, .max = 2.2, .at = SpeedLimit::Timing::kAlways}};
   Scene designed = scene;
   designed.design = {{.parameter = {.kind = SceneParameter::Kind::kMass, .body = 0}, .min = 0.2, .max = 3}};
   const SolveReport report = Solve("ceres_phases", {designed, "event"}, {});
@@ -313,7 +313,7 @@ Scene AirHockey(double duration, int steps, const Vec2d& force) {
   goal.body = 1;
   scene.objective = {.terminal = {goal},
                      .effort = 0.01,
-                     .limits = {{.body = 0, .max = 0.3, .at = SpeedLimit::At::kEnd}},
+                     .limits = {{.body = 0, .max = 0.3, .at = SpeedLimit::Timing::kEnd}},
                      .duration = FreeDuration{0.3, 3, 1}};
   scene.no_contact = {{1, 2}, {0, 2}};
   scene.optimize = Optimize::kControl;

@@ -110,7 +110,7 @@ TEST(Motion, ManyDiscsAreWhereTheWholeSceneHasThem) {
     until.steps = 1;
     until.duration = motion.times[k];
     const std::unique_ptr<Simulator> whole = MakeSimulator("event", until, Precision::kDouble);
-    ASSERT_TRUE(whole->Rollout(input.initial, InitialControl(until, 1))) << whole->WhyFailed();
+    ASSERT_TRUE(whole->Rollout(input.initial, InitialControl(until, 1))) << whole->FailureReason();
     whole->GetState(1, end);
     for (size_t i = 0; i < width; ++i) {
       ASSERT_NEAR(motion.states[k * width + i], end[i], 1e-8) << motion.times[k] << " s, entry " << i;
@@ -169,7 +169,7 @@ TEST(SimulateAndCheck, TakesScenesWhoseSpinIsFree) {
   const Scene scene = ProblemScene("ground_wall_spin");
   ASSERT_FALSE(scene.free_spin.empty());
   for (const char* contact : {"direct", "event", "compliant_warp"}) {
-    if (!WhyNotApplicable(contact, scene).empty()) continue;
+    if (!ReasonNotApplicable(contact, scene).empty()) continue;
     const CheckedRun run = SimulateAndCheck({scene, contact}, std::nullopt, nullptr);
     EXPECT_TRUE(run.simulated) << contact << ": " << run.report.reason;
   }

@@ -200,7 +200,7 @@ class EveryModel : public testing::TestWithParam<std::string> {};
 // Whatever constants a model has, none of them is of the loss.
 TEST_P(EveryModel, SolversTakeTheSameStepsForAnyUnitOfTheLoss) {
   const Scene scene = Launch();
-  if (!WhyNotApplicable(GetParam(), scene).empty()) GTEST_SKIP() << WhyNotApplicable(GetParam(), scene);
+  if (!ReasonNotApplicable(GetParam(), scene).empty()) GTEST_SKIP() << ReasonNotApplicable(GetParam(), scene);
   for (const std::string solver : {"gd", "ceres_lm", "ceres_lbfgs"}) {
     const SolveReport own = SolveRescaled(solver, GetParam(), scene, {}, 0.01);
     for (const Rescaling& by : LossRescalings()) {

@@ -45,7 +45,7 @@ Scene Pair() {
 std::vector<std::string> ModelsThatSpin(const Scene& scene) {
   std::vector<std::string> names;
   for (const ModelTraits& traits : AllContactModels()) {
-    if (WhyNotApplicable(traits.name, scene).empty()) names.emplace_back(traits.name);
+    if (ReasonNotApplicable(traits.name, scene).empty()) names.emplace_back(traits.name);
   }
   return names;
 }
@@ -53,7 +53,7 @@ std::vector<std::string> ModelsThatSpin(const Scene& scene) {
 std::vector<double> EndOf(const Contact& contact, const Scene& scene) {
   const std::unique_ptr<Simulator> simulator = MakeSimulator(contact, scene, Precision::kDouble);
   EXPECT_TRUE(simulator->Rollout(InitialState(scene), InitialControl(scene, simulator->num_steps())))
-      << contact.name() << ": " << simulator->WhyFailed();
+      << contact.name() << ": " << simulator->FailureReason();
   std::vector<double> end(simulator->state_size());
   simulator->GetState(simulator->num_steps(), end);
   return end;
@@ -63,7 +63,7 @@ TEST(SpinModels, TakeTheSceneOrSayWhyNot) {
   const Scene scene = Pair();
   EXPECT_THAT(ModelsThatSpin(scene), ::testing::IsSupersetOf({"event", "compliant_brax", "pbd_brax"}));
   for (const ModelTraits& traits : AllContactModels()) {
-    const std::string why = WhyNotApplicable(traits.name, scene);
+    const std::string why = ReasonNotApplicable(traits.name, scene);
     if (why.empty() || !traits.friction) continue;
     EXPECT_THAT(why, HasSubstr("spin")) << traits.name;
   }
@@ -116,7 +116,7 @@ TEST(SpinModels, GradientsAgreeWithDifferences) {
     ASSERT_EQ(shooting.num_variables(), 12);
     std::vector<double> z = shooting.initial_guess(), gradient(z.size());
     double loss = 0;
-    ASSERT_TRUE(shooting.Evaluate(z, &loss, gradient.data())) << name << ": " << shooting.WhyFailed();
+    ASSERT_TRUE(shooting.Evaluate(z, &loss, gradient.data())) << name << ": " << shooting.FailureReason();
     for (std::size_t i = 0; i < z.size(); ++i) {
       const auto difference = [&](double width) {
         double losses[2];
@@ -189,10 +189,10 @@ TEST(SpinExactRun, IsTheRolloutWhateverTheIntervals) {
 
 TEST(SpinAudit, ExactGradientIsRightAndSpinCounts) {
   const Scene scene = Pair();
-  const std::optional<ModelGradient> exact = ExactGradientOf(scene);
+  const std::optional<ModelGradient> exact = ComputeExactGradient(scene);
   ASSERT_TRUE(exact);
   const ModelAudit audit = AuditModel("event", scene, Precision::kDouble, exact);
-  EXPECT_EQ(audit.verdict, Verdict::kRight) << audit.Why();
+  EXPECT_EQ(audit.verdict, Verdict::kRight) << audit.VerdictReason();
   ModelGradient wrong = *exact;
   wrong.gradient.initial.back() += 1;
   EXPECT_GT(CompareGradients(wrong, *exact).relative, 1e-4);
@@ -201,10 +201,10 @@ TEST(SpinAudit, ExactGradientIsRightAndSpinCounts) {
   EXPECT_EQ(recognised.contact_class, ContactClass::kProjection) << recognised.words;
   EXPECT_EQ(RecogniseContact("lcp_kkt", scene).contact_class, ContactClass::kImpulseAtStepBoundary);
   // Friction spins their discs, and those of the exact gradient too.
-  EXPECT_EQ(WhyNotComparable("compliant_brax", scene), "");
+  EXPECT_EQ(ReasonNotComparable("compliant_brax", scene), "");
   const ModelAudit brax = AuditModel("compliant_brax", scene, Precision::kDouble, exact);
   ASSERT_TRUE(brax.gradient.ok()) << brax.gradient.reason;
-  EXPECT_TRUE(IsWrong(brax.verdict)) << brax.Why();
+  EXPECT_TRUE(IsWrong(brax.verdict)) << brax.VerdictReason();
 }
 
 // Task 2 with a ball that spins: one model of each class.
@@ -216,7 +216,7 @@ TEST(SpinAudit, ClassesAndVerdictsOfTaskTwo) {
     Verdict verdict;
   };
   const auto expect = [&](const Expected& expected) {
-    const ModelAudit audit = AuditModel(expected.contact, scene, Precision::kDouble, ExactGradientOf(scene));
+    const ModelAudit audit = AuditModel(expected.contact, scene, Precision::kDouble, ComputeExactGradient(scene));
     ASSERT_TRUE(audit.gradient.ok()) << expected.contact << ": " << audit.gradient.reason;
     ASSERT_TRUE(audit.recognition) << expected.contact;
     EXPECT_EQ(audit.recognition->contact_class, expected.contact_class) << expected.contact;
@@ -259,7 +259,7 @@ TEST(SpinAudit, SomeErrorsAreOfStepsAndIterations) {
   Scene scene = ProblemScene("ground_wall_spin");
   const auto gradient = [&](const std::string& contact) { return ComputeGradient(contact, scene, Precision::kDouble); };
   const auto error = [&](const std::string& contact) {
-    return CompareGradients(gradient(contact), *ExactGradientOf(scene)).relative;
+    return CompareGradients(gradient(contact), *ComputeExactGradient(scene)).relative;
   };
   EXPECT_GT(error("smooth_compliant"), 1);
   EXPECT_LT(error("smooth_compliant:slip_speed=0.1"), 0.06);

@@ -78,11 +78,11 @@ TEST(StartOverlap, NoSolverEndsWithDiscsThatOverlap) {
 
 TEST(StartOverlap, LossesAndExactRunsRefuseThem) {
   const Scene scene = Pushed(2.3);
-  SingleShooting shooting(MakeSimulator("event", scene, Precision::kDouble), SingleShooting::Variables::kOfScene);
+  SingleShooting shooting(MakeSimulator("event", scene, Precision::kDouble), SingleShooting::Variables::kOptimized);
   double loss = 0;
   EXPECT_TRUE(shooting.Evaluate(std::vector<double>{0.5, 0}, &loss, nullptr));
   EXPECT_FALSE(shooting.Evaluate(std::vector<double>{0.7, 0}, &loss, nullptr));
-  EXPECT_THAT(shooting.WhyFailed(), testing::ContainsRegex("overlap of 0\\.(1|0999)[0-9]* m with bodies.0."));
+  EXPECT_THAT(shooting.FailureReason(), testing::ContainsRegex("overlap of 0\\.(1|0999)[0-9]* m with bodies.0."));
   Batch batch("event", scene, Precision::kDouble, 1);
   std::vector<double> losses(2);
   batch.Evaluate(std::vector<double>{0.5, 0, 0.7, 0}, losses, {});

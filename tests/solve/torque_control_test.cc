@@ -26,7 +26,7 @@ Scene RestToRest(int steps, bool hard) {
   scene.duration = kTime;
   scene.steps = steps;
   scene.bodies = {Spinning("disc", kRadius, kMass, {0, 0}, {0, 0}, 0)};
-  scene.control = {.bodies = {0}, .initial = {{0.1, 0}}, .turned = {0}, .initial_torque = {0.01}};
+  scene.control = {.bodies = {0}, .initial = {{0.1, 0}}, .torque_bodies = {0}, .initial_torque = {0.01}};
   scene.objective.terminal = {{.body = 0, .quantity = Quantity::kAngle, .target = {kAngle, 0}, .hard = hard},
                               {.body = 0, .quantity = Quantity::kAngularVelocity, .target = {0, 0}, .hard = hard}};
   scene.objective.effort = kEffort;
@@ -35,7 +35,7 @@ Scene RestToRest(int steps, bool hard) {
 }
 
 double TorqueOf(const Scene& scene, const SolveReport& report, int k, int t = 0) {
-  return report.solution.control[scene.TurnIndex(k, t)] * scene.bodies[scene.control.turned[t]].radius;
+  return report.solution.control[scene.TorqueIndex(k, t)] * scene.bodies[scene.control.torque_bodies[t]].radius;
 }
 
 // In continuous time 6 I d / T^2 (1 - 2 t / T), at the cost 12 I^2 d^2 / (T^3 r^2); in N equal intervals by 1 / (1 -
@@ -63,7 +63,7 @@ TEST(TorqueControl, TurnsFromRestToRest) {
     EXPECT_NEAR(std::abs(report.certificate->constraints[0].multiplier[0]), 2 * cost / kAngle, 1e-6 * cost);
 
     std::vector<double> other = report.solution.control;
-    other[scene.TurnIndex(1, 0)] *= 1.01;
+    other[scene.TorqueIndex(1, 0)] *= 1.01;
     EXPECT_EQ(Certify(scene, InitialState(scene), other, report.solution.durations).verdict,
               Certificate::Verdict::kNotStationary);
   }
@@ -132,7 +132,7 @@ TEST(TorqueControl, KeepsBounds) {
 TEST(TorqueControl, HelpsThroughAnImpact) {
   Scene scene = SpinControl(40);
   const double without = Solve("ceres_phases", {scene, "event"}, {}).solution.loss;
-  scene.control.turned = {0};
+  scene.control.torque_bodies = {0};
   scene.control.initial_torque = {0};
   const SolveReport report = Solve("ceres_phases", {scene, "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;

@@ -213,8 +213,8 @@ TEST(SweepStudy, CombinesBlocksWithTheLastFastest) {
   EXPECT_EQ(study.Values(1), (SweepRow{1.0, 3.0, 10.0, "event", "gd"}));
   EXPECT_EQ(study.Values(2), (SweepRow{1.0, 3.0, 20.0, "direct_toi", "gd"}));
   EXPECT_EQ(study.Values(11), (SweepRow{2.0, 4.0, 30.0, "event", "gd"}));
-  EXPECT_EQ(study.At(11).scene.contact.damping, 4);
-  EXPECT_THAT(study.At(11).contacts, ElementsAre("event"));
+  EXPECT_EQ(study.RequestAt(11).scene.contact.damping, 4);
+  EXPECT_THAT(study.RequestAt(11).contacts, ElementsAre("event"));
 }
 
 TEST(SweepStudy, ABlockWithContactModelsReplacesThoseOfTheFlag) {

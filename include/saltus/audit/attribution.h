@@ -38,7 +38,7 @@ struct ContactError {
   double error = 0;                   // relative error of the costate, defined at the top of this file
   bool stays = false;                 // whether it is above 1e-3 and a quarter of it is left with far smaller steps
   Block block = Block::kPositionFromPosition;  // the block that contributes most to the error
-  std::string why;  // the cause, in words; empty if the error is small, or that of an impulse and does not stay
+  std::string cause;  // in words; empty if the error is small, or that of an impulse and does not stay
 };
 
 struct Attribution {

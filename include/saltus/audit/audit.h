@@ -3,7 +3,8 @@
 // The exact gradient is that of the event-driven model or, if that model does not support the scene, a closed form. If
 // there is none either, each gradient is compared with differences of the model's own loss.
 //
-// A model of your own is audited by OwnContact() (simulate/own_contact.h) or, with -DSALTUS_EXTRA_MODELS, by its name.
+// A model of your own is audited by UserContact() (simulate/user_contact.h) or, with -DSALTUS_EXTRA_MODELS, by its
+// name.
 #pragma once
 
 #include <functional>
@@ -46,7 +47,7 @@ enum class Agreement {
   kUndecided  // the differences do not converge
 };
 
-struct OwnDifferences {
+struct GradientCheck {
   Agreement agreement = Agreement::kUndecided;
   // The quantity of the direction that differs most; if none differs, that of the last direction.
   Quantity quantity = Quantity::kPosition;
@@ -83,15 +84,15 @@ struct BlackBoxFindings {
   // A head-on impact of the scene's first pair, without forces and friction: medians over where in a step it falls.
   struct HeadOn {
     int steps = 0;
-    double e = 0;     // speed of separation over closing speed
-    double keep = 0;  // fraction of a displacement before the impact that is left just after it
-    double feed = 0;  // step * d(speed of separation) / d(that displacement)
+    double e = 0;                  // speed of separation over closing speed
+    double retention = 0;          // fraction of a displacement before the impact that is left just after it
+    double velocity_feedback = 0;  // step * d(speed of separation) / d(that displacement)
   };
 
-  std::string says;         // the name that the black box reports (BlackBoxTraits::name)
-  bool refused = false;     // it reports that it does not support the scene
-  int precision_found = 0;  // bits of its arithmetic
-  double noise = 0;         // relative noise of its answers
+  std::string reported_name;  // the name that the black box reports (BlackBoxTraits::name)
+  bool refused = false;       // it reports that it does not support the scene
+  int precision_found = 0;    // bits of its arithmetic
+  double noise = 0;           // relative noise of its answers
   bool own_gradient = false;
   Motion motion = Motion::kUnknown;      // whether its loss converges to the exact one
   std::vector<RefinementLevel> levels;   // of the error of its loss, over ModelGradient::loss_scale
@@ -104,14 +105,14 @@ struct ModelAudit {
   ModelGradient gradient;              // at the scene's own steps
   std::optional<GradientError> error;  // if there is a gradient and a reference
   // The verdict of the refinement or, without a reference, of the width sweep. It is kBiased for a surrogate,
-  // kNotApplicable if the reference has another motion than the model (WhyNotComparable), and kAmbiguous if the exact
-  // gradient is ambiguous: then there is no error, and no study but the width sweep.
+  // kNotApplicable if the reference has another motion than the model (ReasonNotComparable), and kAmbiguous if the
+  // exact gradient is ambiguous: then there is no error, and no study but the width sweep.
   Verdict verdict = Verdict::kUnknown;
   std::optional<RefinementStudy> refinement;      // if there are a gradient and a reference
   std::optional<Attribution> attribution;         // of a gradient that the refinement finds wrong, if asked for
   std::optional<WidthSweepStudy> widths;          // if asked for, or if there is no reference
   std::optional<ContactRecognition> recognition;  // if there is a gradient
-  std::optional<OwnDifferences> own;              // if there is a gradient that is not biased
+  std::optional<GradientCheck> gradient_check;    // if there is a gradient that is not biased
   std::vector<ParameterAudit> parameters;         // of a gradient that is not biased; those that the loss depends on
   std::string not_comparable;                     // why the verdict is kNotApplicable
   bool interrupted = false;                       // the audit was stopped; the verdict may be missing
@@ -124,7 +125,7 @@ struct ModelAudit {
   // Returns whether the derivative that a black box reports disagrees with differences of its own loss.
   bool ContradictsItself() const;
   // Returns the reason of the verdict in one sentence; empty for a right or a consistent gradient.
-  std::string Why() const;
+  std::string VerdictReason() const;
 };
 
 struct AuditReport {
@@ -132,18 +133,18 @@ struct AuditReport {
   std::vector<ModelAudit> models;
 };
 
-// Audits one model. `reference` is ExactGradientOf(scene), also where that is nothing. If the model does not support
-// the scene, if there is no such model or if the scene is wrong, the audit has only the gradient, whose reason states
-// this.
+// Audits one model. `reference` is ComputeExactGradient(scene), also where that is nothing. If the model does not
+// support the scene, if there is no such model or if the scene is wrong, the audit has only the gradient, whose reason
+// states this.
 ModelAudit AuditModel(const Contact& contact, const Scene& scene, Precision precision,
                       const std::optional<ModelGradient>& reference, const AuditOptions& options = {});
 
 // Returns why the exact gradient of `scene` and that of the model cannot be compared although the model supports the
 // scene: friction rotates the model's discs, and the exact ones do not spin. Empty if they can be compared.
-std::string WhyNotComparable(const Contact& contact, const Scene& scene);
+std::string ReasonNotComparable(const Contact& contact, const Scene& scene);
 
 // Returns the exact gradient of a scene: that of the event-driven model or, if that does not support the scene, of a
 // closed form. Returns std::nullopt if there is none or if it was stopped.
-std::optional<ModelGradient> ExactGradientOf(const Scene& scene, const StopRequest& stop = nullptr);
+std::optional<ModelGradient> ComputeExactGradient(const Scene& scene, const StopRequest& stop = nullptr);
 
 }  // namespace saltus

@@ -1,8 +1,8 @@
 // Simulators of others as black boxes. A black box answers requests for final states and, if it has them, for
 // intermediate states, single steps and gradients.
 //
-// ContactOf() makes a contact model of a black box. Its rollouts are requests, and its gradients are those of the
-// simulator or else differences of final states, of a width that its precision allows. AuditBlackBox() audits them.
+// MakeBlackBoxContact() makes a contact model of a black box. Its rollouts are requests, and its gradients are those of
+// the simulator or else differences of final states, of a width that its precision allows. AuditBlackBox() audits them.
 // Shapes are those of simulate/simulator.h, with four numbers [p_x p_y v_x v_y] for each of the B discs and two for
 // each of the C controlled discs: spin and torques are not supported.
 #pragma once
@@ -19,24 +19,24 @@
 namespace saltus {
 
 // A request to a black box. Its answer does not depend on earlier requests.
-struct Question {
+struct BlackBoxRequest {
   enum class Kind {
     kSimulate,  // the final state
     kGradient,  // the final state, and the derivatives of the scalar product of `of_final` and the final state
     kStep       // the state after one step of length `duration` from any state, under the forces `control` on all discs
   };
   Kind kind = Kind::kSimulate;
-  int steps = 1;                 // of the scene's time grid, a multiple of BlackBoxTraits::grid_steps
-  double duration = 0;           // s, of all steps
-  std::vector<double> initial;   // B x 4
-  std::vector<double> control;   // N: steps x C x 2; of kStep, B x 2
-  std::vector<double> of_final;  // kGradient: B x 4
-  bool states = false;           // kSimulate: asks for intermediate states, if the simulator has them
-  bool parameters = false;       // kGradient: asks for derivatives by parameters, if the simulator has them
+  int steps = 1;                        // of the scene's time grid, a multiple of BlackBoxTraits::grid_steps
+  double duration = 0;                  // s, of all steps
+  std::vector<double> initial;          // B x 4
+  std::vector<double> control;          // N: steps x C x 2; of kStep, B x 2
+  std::vector<double> final_cotangent;  // kGradient: B x 4
+  bool states = false;                  // kSimulate: asks for intermediate states, if the simulator has them
+  bool parameters = false;              // kGradient: asks for derivatives by parameters, if the simulator has them
 };
 
 // An answer. Members that were not asked for are empty.
-struct Answer {
+struct BlackBoxAnswer {
   std::string error;            // why there is no answer; empty if there is one
   std::vector<double> final;    // B x 4
   std::vector<double> states;   // (steps / grid_steps + 1) x B x 4, if asked for
@@ -51,7 +51,7 @@ struct BlackBoxTraits {
   std::string name;                                     // the name that it reports; may be empty
   std::string not_applicable;                           // why it does not support the scene; empty if it does
   std::string error;                                    // why it gives no answers; empty if it does
-  bool gradient = false, step = false, states = false;  // answers kGradient, kStep, Question::states
+  bool gradient = false, step = false, states = false;  // answers kGradient, kStep, BlackBoxRequest::states
   bool simulate = true;                                 // answers kSimulate
   bool names = false;     // steps of states by name (blackbox/protocol.h), in place of rows of discs
   bool jacobian = false;  // Jacobians of steps; of hybrid systems
@@ -67,14 +67,14 @@ class BlackBox {
   // Returns its properties for a scene, whose steps, duration, initial states and forces are not read: each request has
   // its own.
   virtual BlackBoxTraits Describe(const Scene& scene) = 0;
-  // Returns the answers in the order of the questions. Thread-safe. If stopped, missing answers have the error
+  // Returns the answers in the order of the requests. Thread-safe. If stopped, missing answers have the error
   // kStopped.
-  virtual std::vector<Answer> Ask(const Scene& scene, const std::vector<Question>& questions,
-                                  const StopRequest& stop) = 0;
+  virtual std::vector<BlackBoxAnswer> Evaluate(const Scene& scene, const std::vector<BlackBoxRequest>& requests,
+                                               const StopRequest& stop) = 0;
 };
 
 // Options of the derivatives of a black box.
-struct AskingOptions {
+struct BlackBoxOptions {
   double noise = 0;  // relative noise of the answers, by which widths of differences increase; 0: rounding of double
   bool differences = false;  // whether derivatives are differences even if the simulator has a gradient
   int segments = 2;          // equal parts of the horizon in which differences change the control
@@ -82,10 +82,12 @@ struct AskingOptions {
 };
 
 // Makes a contact model of a black box whose name has no colon. `traits` are those of the scenes that it is used for.
-Contact ContactOf(std::shared_ptr<BlackBox> box, const BlackBoxTraits& traits, const AskingOptions& options = {});
+Contact MakeBlackBoxContact(std::shared_ptr<BlackBox> box, const BlackBoxTraits& traits,
+                            const BlackBoxOptions& options = {});
 
 // Makes a contact model of a black box. The noise of its answers is measured and determines the widths of differences.
-Contact MeasuredContactOf(const std::shared_ptr<BlackBox>& box, const Scene& scene, const StopRequest& stop = nullptr);
+Contact MakeMeasuredContact(const std::shared_ptr<BlackBox>& box, const Scene& scene,
+                            const StopRequest& stop = nullptr);
 
 // The time, s, within which an audit is planned, from the time that its first gradient takes; 0: no limit.
 struct AuditTime {

@@ -6,9 +6,9 @@
 #include <vector>
 
 #include "saltus/control/surrogate.h"
-#include "saltus/simulate/event_sides.h"
 #include "saltus/simulate/events.h"
 #include "saltus/simulate/exact_run.h"
+#include "saltus/simulate/one_sided_derivatives.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {
@@ -34,7 +34,7 @@ struct ModelGradient {
 
   // Simultaneous impacts whose order changes the motion; the gradient is that of one order, and the loss jumps there.
   std::vector<Tie> ambiguous;        // empty for models that resolve no impact times
-  std::optional<LossSpread> spread;  // of the loss over the orders; set by ExactGradientOf() only
+  std::optional<LossSpread> spread;  // of the loss over the orders; set by ComputeExactGradient() only
 
   // If set, `gradient` is this surrogate of the derivative of the loss, and is biased.
   std::optional<Surrogate> surrogate;

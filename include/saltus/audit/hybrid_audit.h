@@ -116,16 +116,16 @@ struct HybridAudit {
   HybridGradient gradient, exact;
   double order = 0;                           // observed order of the error in the step: the least of all quantities
   std::optional<RefinementStudy> refinement;  // of initial state, control and parameters; if there is an exact gradient
-  std::optional<OwnDifferences> own;          // of a scheme with Jacobians of its own
-  std::vector<SegmentError> segments;         // of a wrong gradient
-  int first_wrong = -1;                       // index of the first segment whose error is not small and stays
+  std::optional<GradientCheck> gradient_check;  // of a scheme with Jacobians of its own
+  std::vector<SegmentError> segments;           // of a wrong gradient
+  int first_wrong = -1;                         // index of the first segment whose error is not small and stays
   std::optional<WidthSweepStudy> widths;
   bool interrupted = false;  // whether HybridAuditOptions::stop ended it
 
   bool ok() const { return reason.empty(); }
   // Returns the reason of the verdict in one sentence; empty for a right or a consistent gradient that agrees with
   // differences of its own loss.
-  std::string Why() const;
+  std::string VerdictReason() const;
 };
 
 // Audits the scheme at the problem's guess. `reason` of the result states what is wrong with the problem, if anything

@@ -71,7 +71,7 @@ enum class Quantity {
 };
 // Returns the name that outputs use, such as "position".
 const char* QuantityToString(Quantity quantity);
-inline bool IsOfSystem(Quantity quantity) { return quantity >= Quantity::kSystemState; }
+inline bool IsHybridQuantity(Quantity quantity) { return quantity >= Quantity::kSystemState; }
 
 // Return the names of the entries of a quantity, and the entries themselves: two for each disc that moves (position,
 // velocity), two for each interval and controlled disc and then one for each torque control, one for each disc that

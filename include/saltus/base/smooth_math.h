@@ -15,7 +15,7 @@ namespace internal {
 // Returns v / s for derivatives v: in double precision as the product with 1 / s, in single precision by a quotient for
 // each entry, so that derivatives have the bits of the published programs.
 template <typename V, typename S>
-auto Over(const V& v, const S& s) {
+auto DivideDerivatives(const V& v, const S& s) {
   if constexpr (std::is_same_v<S, float>) {
     return v / s;
   } else {
@@ -33,11 +33,11 @@ S Divide(const S& a, const S& b) {
 template <typename S, int W>
 ceres::Jet<S, W> Divide(const ceres::Jet<S, W>& a, const ceres::Jet<S, W>& b) {
   const S quotient = a.a / b.a;
-  return ceres::Jet<S, W>(quotient, internal::Over(a.v - quotient * b.v, b.a));
+  return ceres::Jet<S, W>(quotient, internal::DivideDerivatives(a.v - quotient * b.v, b.a));
 }
 template <typename S, int W>
 ceres::Jet<S, W> Divide(const ceres::Jet<S, W>& a, const S& b) {
-  return ceres::Jet<S, W>(a.a / b, internal::Over(a.v, b));
+  return ceres::Jet<S, W>(a.a / b, internal::DivideDerivatives(a.v, b));
 }
 template <typename S, int W>
 ceres::Jet<S, W> Divide(const S& a, const ceres::Jet<S, W>& b) {
@@ -55,7 +55,7 @@ template <typename S, int W>
 ceres::Jet<S, W> SafeSqrt(const ceres::Jet<S, W>& x) {
   if (x.a == S(0)) return ceres::Jet<S, W>(S(0));
   const S root = std::sqrt(x.a);
-  return ceres::Jet<S, W>(root, internal::Over(x.v, S(2) * root));
+  return ceres::Jet<S, W>(root, internal::DivideDerivatives(x.v, S(2) * root));
 }
 
 // Returns |x|, with derivative 0 at x = 0.

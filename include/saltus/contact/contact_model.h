@@ -45,7 +45,7 @@ namespace saltus {
 //   using Spinning = ...                                  the model for scenes with discs that spin, with the kRotation
 //       kSpin. Without it the model does not support such scenes.
 //   static constexpr bool kLinearRotation = true          in free flight the rotation has the same Jacobian everywhere
-//   static std::string WhyNot(const Scene&)               the reason why it does not support a scene; else empty
+//   static std::string ReasonNotApplicable(const Scene&)  why it does not support a scene; else empty
 //   static void InitialRotation(double* rotation)         kRotation numbers; zero by default
 //   template <typename Visit> void VisitOptions(const Visit& visit)
 //       calls visit(ModelOption, member) for each of its options; members are double, int or bool

@@ -39,7 +39,7 @@ struct EventFunctions {
 };
 
 // Returns the first error as "found x, expected y"; empty if there is none. Precondition: the scene is valid.
-std::string WhatIsWrongWith(const EventFunctions& events, const Scene& scene);
+std::string Validate(const EventFunctions& events, const Scene& scene);
 
 // Returns event functions with an angle and a distance of each plane, and a linear update:
 //   c = w.x / |w| - o - radius,   v+ = A v        parameters of each plane: w_x, w_y, o, and A by rows
@@ -55,13 +55,13 @@ EventFunctions AffineEvents(const Scene& scene);
 EventFunctions ProfileEvents(const Scene& scene, int width);
 
 // The values of the event functions of one plane for one disc.
-struct EventAt {
+struct EventValues {
   double value = 0;              // c, m
   Vec2d normal = Vec2d::Zero();  // of length 1, along the gradient of c by the position
   Vec2d after = Vec2d::Zero();   // U, m/s
 };
-// Evaluates the functions of a plane. Precondition: WhatIsWrongWith is empty.
-EventAt EvaluateEvents(const EventFunctions& events, int plane, const Vec2d& position, const Vec2d& velocity,
-                       double radius);
+// Evaluates the functions of a plane. Precondition: Validate() returns an empty text.
+EventValues EvaluateEvents(const EventFunctions& events, int plane, const Vec2d& position, const Vec2d& velocity,
+                           double radius);
 
 }  // namespace saltus

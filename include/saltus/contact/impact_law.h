@@ -46,16 +46,16 @@ struct ImpactLaw {
 };
 
 // Returns the first error as "found x, expected y"; empty if there is none.
-std::string WhatIsWrongWith(const ImpactLaw& law);
+std::string Validate(const ImpactLaw& law);
 
 // The values of a law at the speeds of an impact, and their derivatives.
-struct ImpactLawAt {
+struct ImpactLawValues {
   double restitution = 0;                                 // NaN if the function fails or a value is out of its range
   double friction = 0;                                    // 0 if the law has no friction
   std::vector<double> restitution_slope, friction_slope;  // by the parameters, one for each; empty without a value
 };
-// Evaluates a law at speeds of approach and of sliding, m/s, >= 0. Precondition: WhatIsWrongWith is empty.
-ImpactLawAt EvaluateLaw(const ImpactLaw& law, double speed, double sliding);
+// Evaluates a law at speeds of approach and of sliding, m/s, >= 0. Precondition: Validate() returns an empty text.
+ImpactLawValues EvaluateLaw(const ImpactLaw& law, double speed, double sliding);
 
 // Returns a network with one hidden layer of `width` tanh units and the logistic function at its output:
 //   e = 1 / (1 + exp(-(a + sum of c_i tanh(w_i v / speed + b_i))))          v: speed of approach

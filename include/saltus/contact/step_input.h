@@ -133,7 +133,7 @@ struct StepInput {
       return kept;
     };
     if (solved != nullptr && solved->Has(place)) return keep(solved->Next());
-    const auto& found = Find(solve);
+    const auto& found = CallWithoutInlining(solve);
     const std::span<const double> numbers(found.data(), static_cast<std::size_t>(found.size()));
     if (solved != nullptr) solved->Append(place, numbers);
     return keep(numbers);
@@ -141,7 +141,7 @@ struct StepInput {
 
   // Calls solve() without inlining it, because iterations are not differentiated.
   template <typename Solve>
-  [[gnu::noinline]] static auto Find(const Solve& solve) {
+  [[gnu::noinline]] static auto CallWithoutInlining(const Solve& solve) {
     return solve();
   }
 
@@ -236,7 +236,7 @@ Separation<T> SeparationAt(const StepInput<T>& in, const Candidate& c, const Pos
 // Returns the tangential distance over which the normal of a candidate rotates by one radian, m: positive around a
 // convex wall or a disc, negative within an arc, and 0 along a line, whose normal is constant.
 template <typename T>
-T TurningDistance(const StepInput<T>& in, const Candidate& c, const T& distance) {
+T CurvatureRadius(const StepInput<T>& in, const Candidate& c, const T& distance) {
   using S = Base<T>;
   if (!c.plane) return distance;
   const Wall<S>& wall = in.planes[c.b];
@@ -253,7 +253,7 @@ Vec2<T> RelativeVelocity(const Candidate& c, const VelocityOf& velocity) {
 // Calls apply(i, change) with the change of the angular velocities of a and b by an impulse on a along the tangent t =
 // Perpendicular(n): -tangential * r / I for both, because the arms and the impulses are opposite.
 template <typename T, typename Apply>
-void ApplyTurn(const StepInput<T>& in, const Candidate& c, const T& tangential, const Apply& apply) {
+void ApplyAngularImpulse(const StepInput<T>& in, const Candidate& c, const T& tangential, const Apply& apply) {
   const auto turn = [&](int i) { apply(i, T(-tangential * in.bodies[i].radius * in.bodies[i].inverse_inertia)); };
   turn(c.a);
   if (!c.plane) turn(c.b);

@@ -23,7 +23,7 @@ class Batch {
   // is one per core. A free final time and design parameters keep their values. The preconditions are those of
   // MakeSimulator.
   Batch(const Contact& contact, const Scene& scene, Precision precision, int threads = 0,
-        SingleShooting::Variables variables = SingleShooting::Variables::kOfScene);
+        SingleShooting::Variables variables = SingleShooting::Variables::kOptimized);
 
   // Sets the limit of Simulator::set_memory_limit for each thread.
   void set_memory_limit(std::size_t bytes);

@@ -29,12 +29,12 @@ ContactSequence AllPairs(const Scene& scene);
 
 // Returns the name of a part of `scene` besides discs and planes (segments, polygons, arcs, pockets or a table), which
 // sequences, closed forms and conditions of optimality do not support; empty if there is none.
-std::string BeyondPlanes(const Scene& scene);
+std::string NonPlaneGeometry(const Scene& scene);
 // Returns the name of the part of a scene, drag or springs or prescribed motions, because of which flights have no
 // constant acceleration; empty if there is none.
-std::string BeyondBallistic(const Scene& scene);
-// Returns what BeyondPlanes() or BeyondBallistic() returns, or else names discs that spin, for methods without
+std::string NonBallisticForces(const Scene& scene);
+// Returns what NonPlaneGeometry() or NonBallisticForces() returns, or else names discs that spin, for methods without
 // rotation; empty if there is none.
-std::string BeyondPlainDiscs(const Scene& scene);
+std::string NonBallisticFeatures(const Scene& scene);
 
 }  // namespace saltus

@@ -17,10 +17,10 @@ namespace saltus {
 int ControlColumns(const Scene& scene);
 
 // Returns the error in such rows, with the number of the interval and the disc; empty if there is none.
-std::string WhyNoControl(const Scene& scene, std::span<const double> rows);
+std::string ValidateControlRows(const Scene& scene, std::span<const double> rows);
 
 // Convert a control to rows and back. Preconditions: the scene is valid; there are numbers for a whole number of
-// intervals, and WhyNoControl(scene, rows) is empty.
+// intervals, and ValidateControlRows(scene, rows) is empty.
 std::vector<double> RowsOfControl(const Scene& scene, std::span<const double> control);
 std::vector<double> ControlOfRows(const Scene& scene, std::span<const double> rows);
 

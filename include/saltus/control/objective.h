@@ -15,12 +15,12 @@ namespace saltus {
 
 // Returns in words a part of an objective besides terminal costs and effort: path costs, a free duration, constraints;
 // empty if there is none. The functions below compute terminal costs and effort only.
-std::string BeyondTerminalLoss(const Objective& objective);
+std::string NonTerminalTerms(const Objective& objective);
 // Returns in words the constraints of an objective; empty if it has none.
 std::string ConstraintsOf(const Objective& objective);
 // Returns in words a part of a problem besides terminal costs and effort, with bounds on the control and pairs that
 // must not touch; empty if there is none.
-std::string BeyondTerminalCost(const Scene& scene);
+std::string NonTerminalFeatures(const Scene& scene);
 
 // Return the sum of the terminal terms that are not hard at state x, and its derivative with respect to x (x.size()
 // numbers, overwritten). x is a state of the simulator, with body_size numbers for each disc.

@@ -24,11 +24,11 @@ namespace saltus {
 // Returns the part of a scene that such a problem does not support; empty if it supports all. Not supported are walls
 // that end, pockets, a table that slows discs, and terms and springs of a fixed disc whose position is a design
 // parameter.
-std::string WhyNoHybridProblem(const Scene& scene);
+std::string UnsupportedByHybridProblem(const Scene& scene);
 
 // Makes the problem: the motion of the contact model `event`, the loss of the scene, its constraints and bounds, and
 // its unknowns: design parameters are its parameters, in the order of Scene::design. Pairs that must not touch have no
-// motion behind a touch. Precondition: WhyNoHybridProblem is empty, and ValidateStructure finds nothing.
-HybridProblem HybridProblemOf(const Scene& scene);
+// motion behind a touch. Precondition: UnsupportedByHybridProblem() is empty, and ValidateStructure finds nothing.
+HybridProblem MakeHybridProblem(const Scene& scene);
 
 }  // namespace saltus

@@ -20,13 +20,13 @@ class ShootingFunction {
   // loss does not exist or is not finite, or if it was stopped.
   virtual bool Evaluate(std::span<const double> z, double* loss, double* gradient) = 0;
   // Returns why the last evaluation returned false; empty if it did not, or was stopped.
-  virtual std::string WhyFailed() const = 0;
+  virtual std::string FailureReason() const = 0;
   virtual bool stopped() const = 0;
 
   // Computes the num_residuals() residuals whose squares, without a half, add up to the loss (apart from the effort and
   // the weight of a free final time, which solvers add), and their Jacobian by z (num_residuals() x num_variables(),
   // row-major) unless null. ResidualJacobian() computes the Jacobian at the last evaluation, which returned true. A
-  // Jacobian may be not finite nevertheless; WhyFailed() may then give the reason.
+  // Jacobian may be not finite nevertheless; FailureReason() may then give the reason.
   virtual int num_residuals() const = 0;
   virtual bool EvaluateResiduals(std::span<const double> z, double* residuals, double* jacobian) = 0;
   virtual void ResidualJacobian(double* jacobian) = 0;

@@ -24,23 +24,24 @@
 
 namespace saltus {
 
-class WayCosts;
+class PathCosts;
 
 // The loss has all terms of the objective that are not hard. Path costs are exact in exact dynamics (the event-driven
 // model in double precision). With other models running costs are integrated by the trapezoidal rule on the steps of
 // the model, and waypoint costs interpolate states linearly.
 class SingleShooting final : public ShootingFunction {
  public:
-  enum class Variables { kOfScene, kInitialState };
+  enum class Variables { kOptimized, kInitialState };
   // A function that returns the simulator of the scene with another duration or other values of its design parameters;
   // null if the contact model does not support that scene.
-  using OfScene = std::function<std::unique_ptr<Simulator>(const Scene& scene)>;
+  using SimulatorFactory = std::function<std::unique_ptr<Simulator>(const Scene& scene)>;
 
-  // A free final time and design parameters are variables only with `of_scene` and Variables::kOfScene, and otherwise
-  // have the values of the scene. Design parameters of a scene with path costs are variables in exact dynamics only.
-  // Preconditions, with `of_scene` and a free final time: the control is optimized, and the dynamics are exact.
-  explicit SingleShooting(std::unique_ptr<Simulator> simulator, Variables variables = Variables::kOfScene,
-                          OfScene of_scene = nullptr);
+  // A free final time and design parameters are variables only with `simulator_factory` and Variables::kOptimized, and
+  // otherwise have the values of the scene. Design parameters of a scene with path costs are variables in exact
+  // dynamics only. Preconditions, with `simulator_factory` and a free final time: the control is optimized, and the
+  // dynamics are exact.
+  explicit SingleShooting(std::unique_ptr<Simulator> simulator, Variables variables = Variables::kOptimized,
+                          SimulatorFactory simulator_factory = nullptr);
   SingleShooting(SingleShooting&&) noexcept;
   ~SingleShooting() override;
 
@@ -74,7 +75,7 @@ class SingleShooting final : public ShootingFunction {
 
   // Returns why the last evaluation returned false, or has derivatives that are not finite; empty if neither, or
   // stopped.
-  std::string WhyFailed() const override;
+  std::string FailureReason() const override;
 
   // Computes the num_residuals() residuals of all terms but the effort and the weight of a free final time at z, and
   // their Jacobian with respect to z (rows x num_variables(), row-major) unless null, by one adjoint for each residual.
@@ -118,11 +119,11 @@ class SingleShooting final : public ShootingFunction {
   bool EvaluateLast(std::span<const double> z, double effort, double* loss, double* gradient);
   // Moves on to the simulator of the scene that z stands for; returns why there is none, or nothing.
   std::string SetScene(std::span<const double> z);
-  void WayGradient(std::span<const double> z, double* gradient);
+  void PathCostGradient(std::span<const double> z, double* gradient);
   template <typename Numbers, typename Put>
   void DifferenceByParameters(const Numbers& numbers, const Put& put);
   // z without the design parameters.
-  std::span<const double> WithoutDesign(std::span<const double> z) const { return z.first(z.size() - num_design_); }
+  std::span<const double> StripDesign(std::span<const double> z) const { return z.first(z.size() - num_design_); }
   // The control that z stands for, without a copy.
   std::span<const double> ControlIn(std::span<const double> z) const;
   // The derivative by z of a function of the final state with derivative cotangent_, plus `effort` times z if z is the
@@ -130,14 +131,14 @@ class SingleShooting final : public ShootingFunction {
   void PullBack(double effort, std::span<const double> z, double* gradient);
 
   std::unique_ptr<Simulator> simulator_;
-  OfScene of_scene_;  // none: only initial state and control are variables
+  SimulatorFactory simulator_factory_;  // none: only initial state and control are variables
   bool has_duration_ = false;
   int num_design_ = 0;
   Scene given_;  // whose design parameters are those of the start; only if there are any
   ParameterGradient parameters_;
-  std::unique_ptr<WayCosts> way_;  // null if the loss is that of the end and the effort
-  std::string failure_;            // of the last evaluation, if it is not the simulator's
-  std::vector<double> at_;         // with path costs: where the last rollout was
+  std::unique_ptr<PathCosts> path_costs_;  // null if the loss is that of the end and the effort
+  std::string failure_;                    // of the last evaluation, if it is not the simulator's
+  std::vector<double> at_;                 // with path costs: where the last rollout was
   StopRequest stop_;
   bool controls_;  // z is the control
   bool places_;    // z is positions at the start, at which discs must not overlap

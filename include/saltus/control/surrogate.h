@@ -43,13 +43,13 @@ const std::vector<SurrogateEntry>& AllSurrogates();
 std::string_view SurrogateToString(SurrogateKind kind);
 
 // Returns the error in the numbers of `surrogate` and what was expected; empty if there is none.
-std::string WhyNotValid(const Surrogate& surrogate);
+std::string Validate(const Surrogate& surrogate);
 
 // Returns why there is no such surrogate of the model's gradient, or no such model; empty if there is.
-std::string WhyNotApplicable(const Surrogate& surrogate, const Contact& contact, const Scene& scene);
+std::string ReasonNotApplicable(const Surrogate& surrogate, const Contact& contact, const Scene& scene);
 
 // Returns the contact model whose adjoint is the surrogate (kComplementarityAware sets its option), or is smoothed;
 // `contact` itself without a surrogate.
-Contact ContactWith(const std::optional<Surrogate>& surrogate, const Contact& contact);
+Contact ApplySurrogate(const std::optional<Surrogate>& surrogate, const Contact& contact);
 
 }  // namespace saltus

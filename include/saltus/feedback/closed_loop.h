@@ -60,11 +60,11 @@ struct Plan {
   // A sustained contact of a scene, from node `from` to the end of interval `to`. The events of the pair from `event`
   // to `from`, with which it comes to rest, count as one; -1 if it lasts from the start. Later events of the pair do
   // not count.
-  struct Lasting {
+  struct SustainedContact {
     EventLabel pair;
     int event = -1, from = 0, to = 0;
   };
-  std::vector<Lasting> lasting = {};
+  std::vector<SustainedContact> sustained = {};
 
   int num_intervals() const { return static_cast<int>(phases.size()) - 1; }
 };
@@ -141,7 +141,7 @@ struct MonteCarloOptions {
 struct MonteCarlo {
   int simulated = 0;  // all runs, of which fewer than samples if the study was ended
   int failed = 0;     // runs without a motion, which do not count below
-  int otherwise = 0;  // runs with a motion whose events are not those of the plan
+  int off_plan = 0;   // runs with a motion whose events are not those of the plan
   int counted = 0;    // runs whose final state has the planned size, which mean and covariance are of
   // The mean of the final state and its covariance; NaN where no run counts, or fewer than two.
   Eigen::VectorXd mean = {};

@@ -29,13 +29,13 @@ struct Noise {
 
 // Checks sizes, symmetry, and that matrices are positive semidefinite. Returns the first error as "found x, expected
 // y"; empty if there is none.
-std::string WhatIsWrongWith(const Noise& noise, const LinearMotion& motion);
+std::string Validate(const Noise& noise, const LinearMotion& motion);
 
 // A possible change of the sequence of events.
 struct SequenceRisk {
-  std::string what = {};   // "'a' comes after 'b'", "'a' comes after the end", "'a' comes ..."
-  double time = 0;         // s, of the planned event, or of the guard's value
-  double probability = 0;  // to first order
+  std::string description = {};  // "'a' comes after 'b'", "'a' comes after the end", "'a' comes ..."
+  double time = 0;               // s, of the planned event, or of the guard's value
+  double probability = 0;        // to first order
 };
 
 struct Covariance {
@@ -52,8 +52,8 @@ struct Covariance {
   std::string Warning(double small = 0.01) const;
 };
 
-// Propagates the covariance under a regulator, or in open loop if it is null. Preconditions: WhatIsWrongWith() is empty
-// for noise and regulator, and the motion has an interval.
+// Propagates the covariance under a regulator, or in open loop if it is null. Preconditions: Validate() returns an
+// empty text for noise and regulator, and the motion has an interval.
 Covariance Propagate(const LinearMotion& motion, const Noise& noise, const Regulator* regulator = nullptr);
 
 }  // namespace saltus

@@ -35,18 +35,18 @@ class FilterMotion;
 // Checks the mean and the covariance of a state of `size` numbers: their sizes, whether they are finite, and whether
 // the covariance is symmetric and positive semidefinite. Returns "found x, expected y", or an empty text if they are
 // valid.
-std::string WhatIsWrongWithEstimate(const Eigen::VectorXd& mean, const Eigen::MatrixXd& covariance, Eigen::Index size);
+std::string ValidateEstimate(const Eigen::VectorXd& mean, const Eigen::MatrixXd& covariance, Eigen::Index size);
 
 class SaltedKalmanFilter {
  public:
-  // Filters a hybrid system, from an estimate at `time`. Precondition: the mode exists, WhatIsWrongWithEstimate(mean,
+  // Filters a hybrid system, from an estimate at `time`. Precondition: the mode exists, ValidateEstimate(mean,
   // covariance, size of its state) is empty, and `parameters` has as many finite numbers as the system has parameters.
   SaltedKalmanFilter(HybridSystem system, std::vector<double> parameters, double time, int mode, Eigen::VectorXd mean,
                      Eigen::MatrixXd covariance, HybridOptions integration = {});
   // Filters a scene, from an estimate at `time`, s. A state has [p_x p_y v_x v_y] of each disc in turn (with spin, [p_x
   // p_y v_x v_y angle, angular velocity]), and a control is a row of control_width() numbers. The scene's initial
   // state, duration and steps play no part. Precondition: the event-driven model is applicable to the scene, and
-  // WhatIsWrongWithEstimate(mean, covariance, InitialSize(scene)) is empty. `stop` is asked during each Predict, which
+  // ValidateEstimate(mean, covariance, InitialSize(scene)) is empty. `stop` is asked during each Predict, which
   // fails as soon as the answer is true.
   SaltedKalmanFilter(Scene scene, double time, Eigen::VectorXd mean, Eigen::MatrixXd covariance,
                      StopRequest stop = nullptr);
@@ -56,14 +56,14 @@ class SaltedKalmanFilter {
 
   // Predicts the estimate at a later time under a constant control (none: zeros): P <- F P F' + W, with F the
   // derivative of the flow, saltation matrices included. Returns false if the mean has no motion, if `process`, W, has
-  // another size than the state at the end, or if a number is not finite; WhyFailed() then gives the reason, and the
-  // estimate is as before. Precondition: time >= this->time().
+  // another size than the state at the end, or if a number is not finite; FailureReason() then gives the reason, and
+  // the estimate is as before. Precondition: time >= this->time().
   bool Predict(double time, std::span<const double> control = {}, const Eigen::MatrixXd& process = {});
 
   // Corrects the estimate by a measurement z = h(x) + error, given h at the mean, its Jacobian C there, and the
   // covariance V of the error, which is positive semidefinite. Returns the log likelihood of the innovation, or
   // std::nullopt if the covariance of the innovation, C P C' + V, is not positive definite or if the result is not
-  // finite; WhyFailed() then gives the reason, and the estimate is as before. The covariance is updated in Joseph's
+  // finite; FailureReason() then gives the reason, and the estimate is as before. The covariance is updated in Joseph's
   // form. Precondition: for r measurements and a state of n numbers, z and h have r numbers, C is r x n, and V is r x
   // r.
   std::optional<double> Update(const Eigen::VectorXd& z, const Eigen::VectorXd& h, const Eigen::MatrixXd& C,
@@ -80,7 +80,7 @@ class SaltedKalmanFilter {
   // Events of the mean of a hybrid system in the last Predict; none of a scene.
   const std::vector<HybridEvent>& events() const;
   // The reason why the last Predict or Update failed; empty if it succeeded.
-  const std::string& WhyFailed() const { return why_; }
+  const std::string& FailureReason() const { return why_; }
 
  private:
   std::unique_ptr<internal::FilterMotion> motion_;

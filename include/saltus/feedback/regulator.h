@@ -31,7 +31,7 @@ struct LinearEvent {
   Eigen::RowVectorXd by_state = {}, by_control = {};  // of the time, by x_k and u_k
   // The discs of the event that move, in a scene: the order of events that share none does not matter. Empty: it does.
   std::vector<int> discs = {};
-  bool follows = false;  // whether it follows the event before it without time passing
+  bool immediate = false;  // whether it follows the event before it without time passing
 };
 
 // The least value of a quantity that stays above zero in an interval, and its derivatives. The quantity is a guard of a
@@ -56,7 +56,7 @@ struct LinearMotion {
   double end = 0;                              // s
 };
 
-// Linearizes the last rollout, which succeeded, of `input`. Precondition: WhyNotDifferentiable() is empty.
+// Linearizes the last rollout, which succeeded, of `input`. Precondition: ReasonNotDifferentiable() is empty.
 LinearMotion Linearize(HybridSimulator& motion, const HybridInput& input);
 // Linearizes a rollout of a scene under a control (K rows of its control width); du_k is a row. Under the
 // event-driven model A_k and B_k contain the saltation matrices; under other models they are the derivatives of its
@@ -77,18 +77,18 @@ struct Regulator {
   std::vector<Eigen::MatrixXd> cost_to_go = {};   // K + 1: dx' cost_to_go[k] dx, symmetric
   std::vector<Eigen::MatrixXd> closed_loop = {};  // K: dx_{k+1} = closed_loop[k] dx_k
   // TrackContinuously only: at the events, in their order.
-  struct AtEvent {
+  struct EventJump {
     double time = 0;
     Eigen::MatrixXd saltation = {}, gain_before = {}, gain_after = {}, cost_before = {}, cost_after = {};
   };
-  std::vector<AtEvent> events = {};
+  std::vector<EventJump> events = {};
 };
 
 // Checks sizes, symmetry, and that R is positive definite. Returns the first error as "found x, expected y"; empty if
 // there is none.
-std::string WhatIsWrongWith(const TrackingCost& cost, const HybridSimulator& motion);
+std::string Validate(const TrackingCost& cost, const HybridSimulator& motion);
 // Checks gains in the same way: their number, their shapes, and whether they are finite.
-std::string WhatIsWrongWith(const Regulator& regulator, const LinearMotion& motion);
+std::string Validate(const Regulator& regulator, const LinearMotion& motion);
 
 // Computes the regulator with du constant in each interval (Riccati recursion, backwards). Cost: K products of matrices
 // of the size of the state. The gains are empty if they are not finite, or if R + B' S B is not positive definite

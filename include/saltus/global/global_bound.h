@@ -52,11 +52,11 @@ struct GlobalOptions {
 };
 
 // Returns the part of the scene that the bound does not support; empty if it supports all.
-std::string WhyNotBounded(const Scene& scene);
+std::string UnsupportedByGlobalBound(const Scene& scene);
 
 // Bounds the loss of all controls of `scene` from below. `upper` is the loss of a known motion, such as that of the
 // best control of `mode_search`: sequences and boxes with a bound above it are excluded, and those with a bound above
-// `upper` less the gap are not divided further. Precondition: WhyNotBounded is empty.
+// `upper` less the gap are not divided further. Precondition: UnsupportedByGlobalBound() is empty.
 GlobalBound BoundGlobally(const Scene& scene, double upper, const GlobalOptions& options);
 
 }  // namespace saltus

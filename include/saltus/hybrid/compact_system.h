@@ -17,10 +17,10 @@
 //   };
 //
 // A mode is `a.mode`, and a guard or switch `a.number`. A reset that leads to another mode returns
-// saltus::Next<T>{mode, row}. Flow, Guard and Reset may return std::array or std::vector as well; a row holds up to
-// kMostInRow numbers. Members that are optional in hybrid_system.h, such as names and OnAccumulation, are optional here
-// too; a Switch is a function of a point, and a Flow reads the sides of switches as `a.above`. Systems whose modes have
-// states of different sizes need the interface of hybrid_system.h.
+// saltus::ResetResult<T>{mode, row}. Flow, Guard and Reset may return std::array or std::vector as well; a row holds up
+// to kMostInRow numbers. Members that are optional in hybrid_system.h, such as names and OnAccumulation, are optional
+// here too; a Switch is a function of a point, and a Flow reads the sides of switches as `a.above`. Systems whose modes
+// have states of different sizes need the interface of hybrid_system.h.
 //
 // A number that does not exist, such as a.u in a guard, throws std::out_of_range with its name and that of the
 // function.
@@ -115,7 +115,7 @@ class Row {
 
 // The mode after an event, and the state in it.
 template <typename T>
-struct Next {
+struct ResetResult {
   int mode;
   Row<T> x;
 };
@@ -141,7 +141,7 @@ struct CompactSystem : S {
   }
   template <typename T>
   void Flow(int mode, const T& t, const T* x, const T* u, const T* p, const bool* above, T* xdot) const {
-    At<T> at = Point("Flow", mode, 0, t, x, p);
+    At<T> at = MakePoint("Flow", mode, 0, t, x, p);
     at.u = {'u', u, kNumControls, "Flow"};
     at.above = above;
     Write("Flow", S::Flow(at), xdot);
@@ -149,7 +149,7 @@ struct CompactSystem : S {
   template <typename T>
   T Guard(int mode, int guard, const T& t, const T* x, const T* p) const {
     if constexpr (S::kSizes.guards > 0) {
-      return S::Guard(Point("Guard", mode, guard, t, x, p));
+      return S::Guard(MakePoint("Guard", mode, guard, t, x, p));
     } else {
       return T(1.0);
     }
@@ -157,7 +157,7 @@ struct CompactSystem : S {
   template <typename T>
   int Reset(int mode, int guard, const T& t, const T* x, const T* p, T* x_plus) const {
     if constexpr (S::kSizes.guards > 0) {
-      const auto after = S::Reset(Point("Reset", mode, guard, t, x, p));
+      const auto after = S::Reset(MakePoint("Reset", mode, guard, t, x, p));
       if constexpr (requires { after.mode; }) {
         Write("Reset", after.x, x_plus);
         return after.mode;
@@ -169,12 +169,12 @@ struct CompactSystem : S {
   }
   template <typename T>
   T Switch(int mode, int number, const T& t, const T* x, const T* p) const {
-    return S::Switch(Point("Switch", mode, number, t, x, p));
+    return S::Switch(MakePoint("Switch", mode, number, t, x, p));
   }
 
  private:
   template <typename T>
-  static At<T> Point(const char* function, int mode, int number, const T& t, const T* x, const T* p) {
+  static At<T> MakePoint(const char* function, int mode, int number, const T& t, const T* x, const T* p) {
     At<T> at;
     at.t = t;
     at.x = {'x', x, S::kSizes.states, function};

@@ -22,7 +22,7 @@ namespace saltus {
 
 // A term of a problem: a Ceres cost function, the places at which it is evaluated, and the role of its residuals.
 struct HybridTerm {
-  enum class At { kEachInterval, kEvent, kEnd };
+  enum class Timing { kEachInterval, kEvent, kEnd };
   // The role of the residuals r: the loss gains |r|^2 (without Ceres' half) or, for kValue, the sum of r; the other two
   // are constraints, r = 0 and r <= 0. Terms of intervals are summed, not multiplied by the length.
   enum class Role { kCost, kValue, kEquality, kInequality };
@@ -34,7 +34,7 @@ struct HybridTerm {
   double SlopeOf(double residual) const { return role == Role::kValue ? 1 : 2 * residual; }
 
   std::string name = "term";  // for messages
-  At at = At::kEnd;
+  Timing at = Timing::kEnd;
   Role role = Role::kCost;
   // The mode in which the term counts (kEvent: the mode before the event); -1: any. A motion that ends in another mode
   // than that of a term at the end has no loss.
@@ -121,6 +121,6 @@ struct HybridProblem {
 };
 
 // Returns the first error as "found x, expected y"; empty if there is none.
-std::string WhatIsWrongWith(const HybridProblem& problem);
+std::string Validate(const HybridProblem& problem);
 
 }  // namespace saltus

@@ -20,15 +20,14 @@
 // A guard that is below zero at the end of a step has an event in this step. A guard that falls below zero and returns
 // within one step is found if it falls at the beginning of the step and rises at its end, and if the cubic through its
 // values and rates there comes closer to zero than half of the smaller value. The number of steps is chosen so that
-// these cubics agree with the guards at a point of each step, whose place varies; WhyInaccurate() names a guard for
+// these cubics agree with the guards at a point of each step, whose place varies; ReasonInaccurate() names a guard for
 // which this takes too many steps.
 //
 // A pulse of the flow and a dip of a guard that are much shorter than all steps are found in recorded functions
 // (saltus.HybridSystem of Python, files), whose bounds over a step are known, unless they are as short as rounding
-// errors of the time. Steps near them are shorter than others: they divide control intervals. WhyInaccurate() names one
-// that given steps miss.
-// Functions in C++ are known at the stages of the steps alone, and a pulse between these is missed: declare a switch
-// where it begins and ends, or divide the intervals there (HybridOptions::divided).
+// errors of the time. Steps near them are shorter than others: they divide control intervals. ReasonInaccurate() names
+// one that given steps miss. Functions in C++ are known at the stages of the steps alone, and a pulse between these is
+// missed: declare a switch where it begins and ends, or divide the intervals there (HybridOptions::divisions).
 #pragma once
 
 #include <functional>
@@ -63,13 +62,14 @@ struct HybridOptions {
   // Tolerance of the integration for the relative error of the final state and of the event times. The first rollout
   // chooses the number of steps for it, which then stays the same; RolloutAccurately checks it again.
   double tolerance = 1e-12;
-  // Integration steps in each control interval; 0: the simulator chooses. IntegrationError and WhyInaccurate report the
-  // error of a given number. A motion fails if its steps are so long that they leave the equations of closed contacts.
+  // Integration steps in each control interval; 0: the simulator chooses. IntegrationError and ReasonInaccurate report
+  // the error of a given number. A motion fails if its steps are so long that they leave the equations of closed
+  // contacts.
   int steps_per_interval = 0;
   // Times within the motion, as fractions of the duration in (0, 1), rising, that divide control intervals: each part
   // of an interval has as many steps as an interval that is not divided. The simulator adds those between which steps
   // see pulses of recorded functions, if it chooses their number.
-  std::vector<double> divided = {};
+  std::vector<double> divisions = {};
   // Whether a guard below zero at the start is armed once it is above zero, instead of an error.
   bool wait_behind_guards = false;
   int most_events = 100000;  // a motion with more events fails
@@ -84,7 +84,7 @@ struct HybridEvent {
   int mode = 0, guard = 0, next_mode = 0;  // guard -1: the control jumps (HybridSimulator::switches())
   double rate = 0;                         // derivative of the guard by time, just before the event
   std::span<const double> before, after;   // states, valid until the next rollout
-  bool at_once = false;                    // whether it follows the event before it without time passing
+  bool immediate = false;                  // whether it follows the event before it without time passing
   bool is_switch = false;                  // whether only the flow changes (HybridFunctions::num_switches)
 };
 
@@ -140,14 +140,14 @@ class HybridSimulator {
 
   const HybridSystem& system() const;
 
-  // Simulates. Returns false if there is no motion, or if WhatIsWrongWith(input, system) refuses the input; WhyFailed()
+  // Simulates. Returns false if there is no motion, or if Validate(input, system) refuses the input; FailureReason()
   // then returns the reason, with mode, guard and time.
   bool Rollout(const HybridInput& input);
   // Simulates, and chooses the number of steps anew if that of an earlier rollout does not suffice for the tolerance.
   // The check costs about half a rollout.
   bool RolloutAccurately(const HybridInput& input);
   // Returns the reason why the last rollout returned false; empty if it returned true.
-  const std::string& WhyFailed() const;
+  const std::string& FailureReason() const;
   // Returns the approximate time at which events accumulate (Zeno behaviour). Rollout has then returned false, unless
   // the system names a mode in which the motion goes on.
   std::optional<double> accumulation() const;
@@ -176,22 +176,22 @@ class HybridSimulator {
   // Returns why the motion has no derivative by its input, or only one-sided ones; empty if it has. Reasons are guards
   // that graze, and an event at the start or at the final time; ties, events where the control jumps, and resets onto
   // another guard, if states or derivatives differ from side to side, which costs about two gradients to check; and
-  // WhyNotFinite().
-  std::string WhyNotDifferentiable() const;
+  // ReasonNotFinite().
+  std::string ReasonNotDifferentiable() const;
   // Returns why the derivatives computed last are not finite: the first function of the system along the motion whose
   // derivative is not finite, with its mode, time and variables. Empty if all are finite, or if none were computed
   // since the last rollout. A caller must not use derivatives that are not finite.
-  const std::string& WhyNotFinite() const;
+  const std::string& ReasonNotFinite() const;
 
   // Returns the number of steps in a control interval, after the first rollout.
   int steps_per_interval() const;
   // Returns the times that divide control intervals (HybridOptions), with those that the simulator has added.
-  const std::vector<double>& divided() const;
+  const std::vector<double>& divisions() const;
   // Returns options with which a simulator takes the steps of the last rollout between two times of it: their number in
   // a control interval, and the times between that divide it, as parts of the time from `begin` to `end`.
   HybridOptions StepsBetween(double begin, double end) const;
   // Makes the next rollout choose the number of steps anew, unless it is given.
-  void ChooseStepsAnew();
+  void ResetStepChoice();
   // Returns the largest relative difference of final state and event times from those of a rollout with twice as many
   // steps and with halves of steps that end at events; infinite if the events (of a mechanical system, the final mode)
   // differ. It costs that rollout, unless the last one has chosen the number of steps. Precondition: the last rollout
@@ -200,7 +200,7 @@ class HybridSimulator {
   // Returns why the integration error is above the tolerance (rounding, a flow that is not smooth, or too few given
   // steps), and which guard changes faster than the steps resolve, so that events may be missed; empty if neither is
   // the case. It costs as much as IntegrationError. Precondition: the last rollout succeeded.
-  std::string WhyInaccurate();
+  std::string ReasonInaccurate();
 
   // Returns the gradient of a function of the last motion, given its derivatives by its arguments, by one reverse
   // sweep, whose cost does not depend on the number of controls. Precondition: the rollout succeeded.
@@ -222,7 +222,7 @@ class HybridSimulator {
 };
 
 // Returns the first error as "found x, expected y"; empty if there is none.
-std::string WhatIsWrongWith(const HybridInput& input, const HybridSystem& system);
+std::string Validate(const HybridInput& input, const HybridSystem& system);
 
 // Returns the closed form of the saltation matrix of an event,
 //

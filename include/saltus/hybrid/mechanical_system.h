@@ -115,7 +115,7 @@ struct MechanicalImpact {
   // after impacts in sequence that begin with the first or the second, until none approaches. The coupling is |W_ij| /
   // sqrt(W_ii W_jj) with W = N M^-1 N^T.
   bool simultaneous = false;
-  std::vector<double> together, first_first, second_first;
+  std::vector<double> v_simultaneous, v_first_then_second, v_second_then_first;
   double coupling = 0;
 };
 
@@ -159,14 +159,14 @@ class MechanicalSystem {
   // Checks at x = [q v] that the mass matrix is symmetric and positive definite, that no gap is constant, and that each
   // restitution is from 0 to 1 and each friction >= 0. Returns the first error as "found x, expected y"; empty if there
   // is none.
-  std::string WhatIsWrongAt(std::span<const double> x, std::span<const double> p) const;
+  std::string ValidateAt(std::span<const double> x, std::span<const double> p) const;
 
   // The result of FindMode: the mode in which a motion starts from x = [q v] under control u at time t. The
   // accelerations determine whether contacts with a gap of zero and a normal velocity of zero are closed. If there is
-  // no mode, it is -1 and `why` is the reason.
+  // no mode, it is -1, and `reason` states why.
   struct Start {
     int mode = -1;
-    std::string why;
+    std::string reason;
   };
   Start FindMode(std::span<const double> x, std::span<const double> u, std::span<const double> p, double t = 0) const;
   // Returns all solutions of the complementarity problem of the accelerations at x, over the contacts with a gap of

@@ -69,15 +69,15 @@ struct RigidScene2D {
 std::vector<Point2D> BoxPolygon(double half_width, double half_height);
 
 // Returns the first error as "found x, expected y"; empty if there is none.
-std::string WhatIsWrongWith(const RigidBody2D& body);
-std::string WhatIsWrongWith(const RigidScene2D& scene);
+std::string Validate(const RigidBody2D& body);
+std::string Validate(const RigidScene2D& scene);
 
 // The coordinates are x, y and the angle of a free body; x and y of a body without rotation; the angle of a body on a
 // revolute joint; the distance from the given position along the axis of a prismatic joint. The parameters are
 // restitution, friction, and gravity along x and y.
 class RigidBodies2D {
  public:
-  // Precondition: WhatIsWrongWith(scene) is empty.
+  // Precondition: Validate(scene) is empty.
   explicit RigidBodies2D(RigidScene2D scene);
 
   const RigidScene2D& scene() const { return scene_; }
@@ -160,13 +160,13 @@ class RigidBodies2D {
   }
   template <typename T>
   T Gap(int contact, const T* q, const T*) const {
-    return At(contact, q).gap;
+    return ClosestAt(contact, q).gap;
   }
   template <typename T>
   void SlideRow(int contact, const T* q, const T*, T* row) const {
     for (int i = 0; i < size_; ++i) row[i] = T(0.0);
     const Contact& of = contacts_[contact];
-    const Closest<T> at = At(contact, q);
+    const Closest<T> at = ClosestAt(contact, q);
     T entries[3] = {T(0.0), T(0.0), T(0.0)};
     RowOf(of.a, PoseAt(of.a, q), at.x, at.y, at.normal_y, -at.normal_x, entries);
     for (int i = 0; i < Count(of.a); ++i) row[first_[of.a] + i] += entries[i];
@@ -177,13 +177,13 @@ class RigidBodies2D {
   // The distance of a vertex from the line through the edge, where the gap has a kink at the ends of the edge.
   template <typename T>
   T Distance(int contact, const T* q, const T*) const {
-    const Closest<T> at = At(contact, q);
+    const Closest<T> at = ClosestAt(contact, q);
     return contacts_[contact].kind == Contact::kVertexEdge ? at.from_line : at.gap;
   }
   // The reach of a vertex on an edge: its distance from the lines through the edges beside it.
   template <typename T>
   T Reach(int contact, const T* q, const T*) const {
-    return At(contact, q).reach;
+    return ClosestAt(contact, q).reach;
   }
   template <typename T>
   T Restitution(int, const T* p) const {
@@ -278,7 +278,7 @@ class RigidBodies2D {
   }
 
   template <typename T>
-  Closest<T> At(int contact, const T* q) const {
+  Closest<T> ClosestAt(int contact, const T* q) const {
     using std::cos, std::sin, std::sqrt;
     const Contact& of = contacts_[contact];
     const RigidBody2D& body = scene_.bodies[of.a];

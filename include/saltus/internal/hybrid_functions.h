@@ -168,19 +168,19 @@ class HybridFunctions {
   virtual bool MayHideChanges(int /*mode*/) const { return false; }
 
   // Returns the next mode, which may depend on the control; the state after the reset does not. Below zero: there is
-  // none, and WhyNoMode returns the reason; below -1 there may be with shorter steps. x_plus has room for the largest
-  // state of any mode; what a reset into a mode with a smaller state leaves is not read.
+  // none, and ReasonNoMode returns the reason; below -1 there may be with shorter steps. x_plus has room for the
+  // largest state of any mode; what a reset into a mode with a smaller state leaves is not read.
   virtual int Reset(const ModePoint& at, int guard, double* x_plus) const = 0;
   // Resets, and sets the derivative by [x t p]: (size of the next mode's state) x (n + 1 + P), room for the largest.
   virtual int ResetJacobian(const ModePoint& at, int guard, double* x_plus, double* jacobian) const = 0;
-  // Returns why a reset returns a negative number; with guard -1, why ModeUnder does.
-  virtual std::string WhyNoMode(const ModePoint& /*at*/, int /*guard*/) const { return ""; }
+  // Returns why a reset returns a negative number; with guard -1, why ModeAfterControlJump does.
+  virtual std::string ReasonNoMode(const ModePoint& /*at*/, int /*guard*/) const { return ""; }
   // Returns why a reset (-1: the mode in which a motion goes on) has no derivative or one-sided ones; empty if it has.
-  virtual std::string WhyNoDerivative(const ModePoint& /*at*/, int /*guard*/) const { return ""; }
+  virtual std::string ReasonNoDerivative(const ModePoint& /*at*/, int /*guard*/) const { return ""; }
 
   // Returns the mode in which a motion goes on from the state x when its control jumps to u, which the point has; a
   // negative number if there is none.
-  virtual int ModeUnder(const ModePoint& at) const { return at.mode; }
+  virtual int ModeAfterControlJump(const ModePoint& at) const { return at.mode; }
 
   // Whether the states of a mode satisfy equations (as those of closed contacts), from which errors of the integration
   // lead away. The engine then projects the state onto them after each step.
@@ -191,7 +191,7 @@ class HybridFunctions {
 
   // Whether a guard that a reset leaves below zero, and that rises, waits until it is above zero in the place of an
   // event.
-  virtual bool WaitsBehind(int /*mode*/, int /*guard*/) const { return false; }
+  virtual bool RearmsAboveZero(int /*mode*/, int /*guard*/) const { return false; }
 
   // Whether modes are created as a motion meets them. Their states are all of one size, and which of them a reset leads
   // to does not change the state after it, which is finite, even if there is no next mode, where it is known.
@@ -201,12 +201,12 @@ class HybridFunctions {
 
   // Returns a system with the same motions but without the events that change nothing while all parameters but those in
   // `free` are p, such as reversals of contacts without friction; null if there are none. Derivatives by p are lost.
-  virtual std::shared_ptr<const HybridFunctions> WithoutIdleEvents(const double* /*p*/,
-                                                                   std::span<const int> /*free*/) const {
+  virtual std::shared_ptr<const HybridFunctions> RemoveIdleEvents(const double* /*p*/,
+                                                                  std::span<const int> /*free*/) const {
     return nullptr;
   }
   // Returns the mode with the flow of the mode of that name of a system without idle events, or of one with them.
-  virtual int ModeLike(const std::string& /*name*/) const { return -1; }
+  virtual int EquivalentMode(const std::string& /*name*/) const { return -1; }
 
   // Whether a guard depends on the control.
   virtual bool ReadsControl(int /*mode*/, int /*guard*/) const { return false; }
@@ -229,7 +229,7 @@ class HybridFunctions {
   // of the user may have a value of its own (as the sign of zero), sliding along it (Filippov's convention: the average
   // of the flows on both sides that keeps the switch at zero), or the other side than the point's. -1: there is none.
   enum class Side { kBelow = -1, kOn = 0, kAbove = 1, kSliding, kOther };
-  virtual int PieceBeside(const ModePoint& /*at*/, int /*guard*/, Side /*side*/) const { return -1; }
+  virtual int AdjacentPiece(const ModePoint& /*at*/, int /*guard*/, Side /*side*/) const { return -1; }
   // Whether a mode is the piece on zero of a switch, whose value stays zero there.
   virtual bool IsOn(int /*mode*/, int /*guard*/) const { return false; }
   // Returns the largest number of guards of any mode.
@@ -293,9 +293,9 @@ class HybridFunctionsOf final : public HybridFunctions {
     if constexpr (kHasPieces) return system_.PieceAt(BaseMode(at.mode), at.t, at.x, at.p);
     return at.mode;
   }
-  int PieceBeside(const ModePoint& at, int guard, Side side) const override {
+  int AdjacentPiece(const ModePoint& at, int guard, Side side) const override {
     if constexpr (kHasPieces) {
-      if (side == Side::kOther) return S::Beside(at.mode, guard);
+      if (side == Side::kOther) return S::AdjacentPiece(at.mode, guard);
     }
     return -1;
   }
@@ -303,7 +303,7 @@ class HybridFunctionsOf final : public HybridFunctions {
   void Flow(const ModePoint& at, double* xdot) const override { system_.Flow(at.mode, at.t, at.x, at.u, at.p, xdot); }
   void FlowJacobian(const ModePoint& at, double* xdot, double* jacobian) const override {
     const int rows = S::kStateSizes[at.mode];
-    InPasses(at, S::kNumControls, [&](Variables& v, int first, int width, int columns) {
+    ForEachJetPass(at, S::kNumControls, [&](Variables& v, int first, int width, int columns) {
       std::array<Jet, kMostStates> out;
       const auto flow = [&] { system_.Flow(at.mode, v.t, v.x.data(), v.u.data(), v.p.data(), out.data()); };
       flow();
@@ -317,7 +317,7 @@ class HybridFunctionsOf final : public HybridFunctions {
     if (kFlies && Fly(step, after, nullptr)) {
       return system_.Flow(step.mode, step.t + step.h, after, step.u, step.p, slope_after);
     }
-    InMode(step.mode, [&](auto mode) {
+    DispatchMode(step.mode, [&](auto mode) {
       const auto flow = [&](double t, const double* x, double* xdot) {
         system_.Flow(mode, t, x, step.u, step.p, xdot);
       };
@@ -325,12 +325,12 @@ class HybridFunctionsOf final : public HybridFunctions {
     });
   }
   void LinearizeStep(const FlowStep& step, double* /*scratch*/, double* slopes, double* jacobians) const override {
-    InMode(step.mode, [&](auto mode) {
+    DispatchMode(step.mode, [&](auto mode) {
       constexpr int kSize = S::kStateSizes[mode], kColumns = kSize + 1 + S::kNumParameters + S::kNumControls;
       if constexpr (kColumns <= kStride) {
         std::array<Jet, cooper_verner::kStages * kSize> stages;
-        LinearizeInOnePass<mode>(step, slopes, stages.data());
-        if (!HasDerivatives<Jet>(stages)) LinearizeInOnePass<mode, /*kComplete=*/true>(step, slopes, stages.data());
+        LinearizeAllColumns<mode>(step, slopes, stages.data());
+        if (!HasDerivatives<Jet>(stages)) LinearizeAllColumns<mode, /*kComplete=*/true>(step, slopes, stages.data());
         for (const Jet& row : stages) jacobians = std::copy_n(row.v.data(), kColumns, jacobians);
       } else {
         const auto flow = [&](double t, const double* x, double* slope, double* jacobian) {
@@ -343,7 +343,7 @@ class HybridFunctionsOf final : public HybridFunctions {
   bool PullBackStep(const FlowStep& step, const double* after, StepCotangent* out) const override {
     if (kFlies) return false;
     bool in_one_pass = false;
-    InMode(step.mode, [&](auto mode) {
+    DispatchMode(step.mode, [&](auto mode) {
       constexpr int kSize = S::kStateSizes[mode], kStages = cooper_verner::kStages;
       if constexpr (kSize + 1 + S::kNumParameters + S::kNumControls <= kStride) {
         in_one_pass = true;
@@ -352,7 +352,7 @@ class HybridFunctionsOf final : public HybridFunctions {
           Stages() {}
           Jet jets[kStages * kSize];
         } stages;
-        LinearizeInOnePass<mode>(step, slopes.data(), stages.jets);
+        LinearizeAllColumns<mode>(step, slopes.data(), stages.jets);
         std::array<double, kSize + S::kNumParameters + S::kNumControls> before;
         double* next = std::copy_n(after, kSize, before.data());
         next = std::copy_n(out->p, S::kNumParameters, next);
@@ -365,7 +365,7 @@ class HybridFunctionsOf final : public HybridFunctions {
         if (zero == 0) return;
         std::copy_n(before.data() + kSize, S::kNumParameters, out->p);
         std::copy_n(before.data() + kSize + S::kNumParameters, S::kNumControls, out->u);
-        LinearizeInOnePass<mode, /*kComplete=*/true>(step, slopes.data(), stages.jets);
+        LinearizeAllColumns<mode, /*kComplete=*/true>(step, slopes.data(), stages.jets);
         PullBackStages<kSize, S::kNumParameters, S::kNumControls>(step.h, stages.jets, before.data(), out);
       }
     });
@@ -375,7 +375,7 @@ class HybridFunctionsOf final : public HybridFunctions {
     bool flies = false;
     if constexpr (kFlies) {
       if (jacobian == nullptr) return system_.Fly(step.mode, step.t, step.h, step.x, step.u, step.p, after);
-      InPasses(step, S::kNumControls, [&](Variables& v, int first, int width, int columns) {
+      ForEachJetPass(step, S::kNumControls, [&](Variables& v, int first, int width, int columns) {
         std::array<Jet, kMostStates> out;
         const auto fly = [&] {
           flies = system_.Fly(step.mode, v.t, Jet(step.h), v.x.data(), v.u.data(), v.p.data(), out.data());
@@ -412,7 +412,7 @@ class HybridFunctionsOf final : public HybridFunctions {
   double GuardGradient(const ModePoint& at, int guard, double* gradient) const override {
     double value = 0;
     std::fill_n(gradient + S::kStateSizes[at.mode] + 1 + S::kNumParameters, S::kNumControls, 0.0);
-    InPasses(at, 0, [&](Variables& v, int first, int width, int columns) {
+    ForEachJetPass(at, 0, [&](Variables& v, int first, int width, int columns) {
       std::array<Jet, 1> out;
       const auto guard_at = [&] { out[0] = system_.Guard(at.mode, guard, v.t, v.x.data(), v.p.data()); };
       guard_at();
@@ -435,7 +435,7 @@ class HybridFunctionsOf final : public HybridFunctions {
   }
   int ResetJacobian(const ModePoint& at, int guard, double* x_plus, double* jacobian) const override {
     int next = 0;
-    InPasses(at, 0, [&](Variables& v, int first, int width, int columns) {
+    ForEachJetPass(at, 0, [&](Variables& v, int first, int width, int columns) {
       std::array<Jet, kMostStates> out;
       const auto reset = [&] { return system_.Reset(at.mode, guard, v.t, v.x.data(), v.p.data(), out.data()); };
       next = reset();
@@ -467,9 +467,9 @@ class HybridFunctionsOf final : public HybridFunctions {
 
   // Calls function(mode) with the mode as a constant.
   template <int kMode = 0, typename Function>
-  static void InMode(int mode, const Function& function) {
+  static void DispatchMode(int mode, const Function& function) {
     if constexpr (kMode + 1 < kNumModes) {
-      if (mode != kMode) return InMode<kMode + 1>(mode, function);
+      if (mode != kMode) return DispatchMode<kMode + 1>(mode, function);
     }
     function(std::integral_constant<int, kMode>());
   }
@@ -503,7 +503,7 @@ class HybridFunctionsOf final : public HybridFunctions {
 
   // Calls function(variables, first, width, columns) until all columns of [x t p u] have been seen.
   template <typename Function>
-  static void InPasses(const ModePoint& at, int controls, const Function& function) {
+  static void ForEachJetPass(const ModePoint& at, int controls, const Function& function) {
     const int states = S::kStateSizes[at.mode], columns = states + 1 + S::kNumParameters + controls;
     for (int first = 0; first < columns; first += kStride) {
       Variables v;
@@ -515,7 +515,7 @@ class HybridFunctionsOf final : public HybridFunctions {
   // Computes the slopes of all stages of a step, and their Jets. All stages have the same variables of differentiation,
   // with other values. `kComplete`: Complete, which takes time, is called.
   template <int kMode, bool kComplete = false>
-  void LinearizeInOnePass(const FlowStep& step, double* slopes, Jet* stages) const {
+  void LinearizeAllColumns(const FlowStep& step, double* slopes, Jet* stages) const {
     constexpr int kSize = S::kStateSizes[kMode];
     Variables v;
     Seed(step, kSize, S::kNumControls, 0, &v);

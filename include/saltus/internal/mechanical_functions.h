@@ -43,7 +43,7 @@ struct TimeJet {
   friend TimeJet operator*(double a, const TimeJet& b) { return b * a; }
   friend TimeJet operator/(const TimeJet& a, const TimeJet& b) {
     const S one_over = 1.0 / b.value;
-    return a * TimeJet::Of(b, one_over, -one_over * one_over, 2.0 * one_over * one_over * one_over);
+    return a * TimeJet::Compose(b, one_over, -one_over * one_over, 2.0 * one_over * one_over * one_over);
   }
   friend TimeJet operator/(const TimeJet& a, double b) { return {a.value / b, a.rate / b, a.second / b}; }
   friend TimeJet operator-(const TimeJet& a) { return {-a.value, -a.rate, -a.second}; }
@@ -61,7 +61,7 @@ struct TimeJet {
   friend bool operator!=(const TimeJet& a, const TimeJet& b) { return a.value != b.value; }
 
   // Returns f(x), given f and its first two derivatives at the value of x.
-  static TimeJet Of(const TimeJet& x, const S& f, const S& first, const S& second) {
+  static TimeJet Compose(const TimeJet& x, const S& f, const S& first, const S& second) {
     return {f, first * x.rate, first * x.second + second * x.rate * x.rate};
   }
 };
@@ -70,55 +70,55 @@ template <typename S>
 TimeJet<S> sin(const TimeJet<S>& x) {
   using std::cos, std::sin;
   const S s = sin(x.value), c = cos(x.value);
-  return TimeJet<S>::Of(x, s, c, -s);
+  return TimeJet<S>::Compose(x, s, c, -s);
 }
 template <typename S>
 TimeJet<S> cos(const TimeJet<S>& x) {
   using std::cos, std::sin;
   const S s = sin(x.value), c = cos(x.value);
-  return TimeJet<S>::Of(x, c, -s, -c);
+  return TimeJet<S>::Compose(x, c, -s, -c);
 }
 template <typename S>
 TimeJet<S> tan(const TimeJet<S>& x) {
   using std::tan;
   const S t = tan(x.value), first = 1.0 + t * t;
-  return TimeJet<S>::Of(x, t, first, 2.0 * t * first);
+  return TimeJet<S>::Compose(x, t, first, 2.0 * t * first);
 }
 template <typename S>
 TimeJet<S> exp(const TimeJet<S>& x) {
   using std::exp;
   const S e = exp(x.value);
-  return TimeJet<S>::Of(x, e, e, e);
+  return TimeJet<S>::Compose(x, e, e, e);
 }
 template <typename S>
 TimeJet<S> log(const TimeJet<S>& x) {
   using std::log;
   const S first = 1.0 / x.value;
-  return TimeJet<S>::Of(x, log(x.value), first, -first * first);
+  return TimeJet<S>::Compose(x, log(x.value), first, -first * first);
 }
 template <typename S>
 TimeJet<S> tanh(const TimeJet<S>& x) {
   using std::tanh;
   const S t = tanh(x.value), first = 1.0 - t * t;
-  return TimeJet<S>::Of(x, t, first, -2.0 * t * first);
+  return TimeJet<S>::Compose(x, t, first, -2.0 * t * first);
 }
 template <typename S>
 TimeJet<S> sqrt(const TimeJet<S>& x) {
   using std::sqrt;
   const S root = sqrt(x.value), first = 0.5 / root;
-  return TimeJet<S>::Of(x, root, first, -0.5 * first / x.value);
+  return TimeJet<S>::Compose(x, root, first, -0.5 * first / x.value);
 }
 template <typename S>
 TimeJet<S> atan(const TimeJet<S>& x) {
   using std::atan;
   const S first = 1.0 / (1.0 + x.value * x.value);
-  return TimeJet<S>::Of(x, atan(x.value), first, -2.0 * x.value * first * first);
+  return TimeJet<S>::Compose(x, atan(x.value), first, -2.0 * x.value * first * first);
 }
 template <typename S>
 TimeJet<S> asin(const TimeJet<S>& x) {
   using std::asin, std::sqrt;
   const S first = 1.0 / sqrt(1.0 - x.value * x.value);
-  return TimeJet<S>::Of(x, asin(x.value), first, x.value * first * first * first);
+  return TimeJet<S>::Compose(x, asin(x.value), first, x.value * first * first * first);
 }
 template <typename S>
 TimeJet<S> acos(const TimeJet<S>& x) {
@@ -137,7 +137,7 @@ TimeJet<S> atan2(const TimeJet<S>& y, const TimeJet<S>& x) {
 template <typename S>
 TimeJet<S> pow(const TimeJet<S>& x, double power) {
   using std::pow;
-  return TimeJet<S>::Of(
+  return TimeJet<S>::Compose(
       x, pow(x.value, power), power * pow(x.value, power - 1), power * (power - 1) * pow(x.value, power - 2));
 }
 template <typename S>

@@ -90,7 +90,7 @@ inline constexpr std::array<Row, kStages + 1> kRows = MakeRows();
 
 // Calls function(stage, factor) for each term of row kRow.
 template <int kRow, typename Function>
-[[gnu::always_inline]] inline void ForTerms(const Function& function) {
+[[gnu::always_inline]] inline void ForEachTerm(const Function& function) {
   [&]<std::size_t... k>(std::index_sequence<k...>) __attribute__((always_inline)) {
     (function(kRows[kRow].terms[k].stage, kRows[kRow].terms[k].factor), ...);
   }
@@ -109,7 +109,7 @@ template <int kRow, int kSize>
   constexpr int kPairs = kSize / 2;
   Pair sums[kPairs + 1] = {};
   double last = 0;
-  ForTerms<kRow>([&](int stage, double factor) __attribute__((always_inline)) {
+  ForEachTerm<kRow>([&](int stage, double factor) __attribute__((always_inline)) {
     const double* slope = slopes + stage * kSize;
     for (int i = 0; i < kPairs; ++i) sums[i] += factor * LoadPair(slope + 2 * i);
     if (kSize % 2 == 1) last += factor * slope[kSize - 1];
@@ -206,7 +206,7 @@ void PullBackStages(double h, const Jet* slopes, const double* after, StepCotang
   for (int j = 0; j < kSize; ++j) sum[j] = after[j];
   for (int j = 0; j < kParameters; ++j) sum[kSize + 1 + j] = out->p[j];
   for (int j = 0; j < kControls; ++j) sum[kSize + 1 + kParameters + j] = out->u[j];
-  ForTerms<kStages>(add(sum));
+  ForEachTerm<kStages>(add(sum));
   double by_h = 0;
   const auto pull_back = [&]<std::size_t kStage>(std::integral_constant<std::size_t, kStage>)
       __attribute__((always_inline)) {
@@ -220,7 +220,7 @@ void PullBackStages(double h, const Jet* slopes, const double* after, StepCotang
     }
     if constexpr (kC[kStage] != 0) by_h += kC[kStage] * of_stage[kSize];  // which may be infinite at the start
     sum += of_stage;
-    ForTerms<kStage>(add(of_stage));
+    ForEachTerm<kStage>(add(of_stage));
   };
   [&]<std::size_t... k>(std::index_sequence<k...>) __attribute__((always_inline)) {
     (pull_back(std::integral_constant<std::size_t, kStages - 1 - k>()), ...);

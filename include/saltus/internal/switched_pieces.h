@@ -34,7 +34,7 @@ struct SwitchedPieces {
 
   static int NumSwitches(int piece) { return S::kNumSwitches[piece % kModes]; }
   static int SwitchOf(int piece, int guard) { return guard - S::kNumGuards[piece % kModes]; }
-  static int Beside(int piece, int guard) {
+  static int AdjacentPiece(int piece, int guard) {
     return (piece / kModes ^ 1 << SwitchOf(piece, guard)) * kModes + piece % kModes;
   }
   static std::string SwitchName(int piece, int guard) {
@@ -46,7 +46,7 @@ struct SwitchedPieces {
       return "switch " + std::to_string(number);
     }
   }
-  static std::array<bool, kMostSwitches> Above(int piece) {
+  static std::array<bool, kMostSwitches> SwitchSides(int piece) {
     std::array<bool, kMostSwitches> above{};
     for (int i = 0; i < kMostSwitches; ++i) above[i] = (piece / kModes >> i & 1) != 0;
     return above;
@@ -62,7 +62,7 @@ struct SwitchedPieces {
   }
   template <typename T>
   void Flow(int piece, const T& t, const T* x, const T* u, const T* p, T* xdot) const {
-    const auto above = Above(piece);
+    const auto above = SwitchSides(piece);
     system.Flow(piece % kModes, t, x, u, p, above.data(), xdot);
   }
   template <typename T>
@@ -70,14 +70,14 @@ struct SwitchedPieces {
     const int mode = piece % kModes, number = SwitchOf(piece, guard);
     if (number < 0) return system.Guard(mode, guard, t, x, p);
     const T value = system.Switch(mode, number, t, x, p);
-    return Above(piece)[number] ? value : -value;
+    return SwitchSides(piece)[number] ? value : -value;
   }
   template <typename T>
   int Reset(int piece, int guard, const T& t, const T* x, const T* p, T* x_plus) const {
     const int mode = piece % kModes;
     if (SwitchOf(piece, guard) >= 0) {
       std::copy_n(x, S::kStateSizes[mode], x_plus);
-      return Beside(piece, guard);
+      return AdjacentPiece(piece, guard);
     }
     const int next = system.Reset(mode, guard, t, x, p, x_plus);
     return next >= 0 && next < kModes ? PieceAt(next, t, x_plus, p) : next < 0 ? next : kModes * kPieces;
@@ -85,7 +85,7 @@ struct SwitchedPieces {
   template <typename T>
   bool Fly(int piece, const T& t, const T& s, const T* x, const T* u, const T* p, T* after) const
       requires(requires(const S& a, const bool* above) { a.Fly(0, t, s, x, u, p, above, after); }) {
-    const auto above = Above(piece);
+    const auto above = SwitchSides(piece);
     return system.Fly(piece % kModes, t, s, x, u, p, above.data(), after);
   }
   int OnAccumulation(int piece, int guard) const {

@@ -25,7 +25,7 @@ class Tape {
   using PullBack = std::function<void(std::span<const double> outputs, std::span<double> inputs)>;
 
   // Returns the tape of this thread, on which its operations are recorded.
-  static Tape& OfThread();
+  static Tape& ThreadTape();
 
   // Removes all entries; the memory stays.
   void Clear() {
@@ -66,25 +66,27 @@ class Taped {
   explicit Taped(double value) : value_(value) {}
   Taped(double value, int place) : value_(value), place_(place) {}
   // Returns a new variable on the tape.
-  static Taped Variable(double value) { return {value, Tape::OfThread().Add(0, 0)}; }
+  static Taped Variable(double value) { return {value, Tape::ThreadTape().Add(0, 0)}; }
 
   double value() const { return value_; }
   int place() const { return place_; }  // 0: it is constant
 
   // Returns a function of a and b with these derivatives. Not inline: the models' functions would be far larger.
-  static Taped Of(double value, const Taped& a, double by_a);
-  static Taped Of(double value, const Taped& a, double by_a, const Taped& b, double by_b);
+  static Taped FromDerivatives(double value, const Taped& a, double by_a);
+  static Taped FromDerivatives(double value, const Taped& a, double by_a, const Taped& b, double by_b);
 
-  friend Taped operator-(const Taped& a) { return Of(-a.value_, a, -1); }
-  friend Taped operator+(const Taped& a, const Taped& b) { return Of(a.value_ + b.value_, a, 1, b, 1); }
+  friend Taped operator-(const Taped& a) { return FromDerivatives(-a.value_, a, -1); }
+  friend Taped operator+(const Taped& a, const Taped& b) { return FromDerivatives(a.value_ + b.value_, a, 1, b, 1); }
   friend Taped operator+(const Taped& a, double b) { return {a.value_ + b, a.place_}; }
   friend Taped operator+(double a, const Taped& b) { return {a + b.value_, b.place_}; }
-  friend Taped operator-(const Taped& a, const Taped& b) { return Of(a.value_ - b.value_, a, 1, b, -1); }
+  friend Taped operator-(const Taped& a, const Taped& b) { return FromDerivatives(a.value_ - b.value_, a, 1, b, -1); }
   friend Taped operator-(const Taped& a, double b) { return {a.value_ - b, a.place_}; }
-  friend Taped operator-(double a, const Taped& b) { return Of(a - b.value_, b, -1); }
-  friend Taped operator*(const Taped& a, const Taped& b) { return Of(a.value_ * b.value_, a, b.value_, b, a.value_); }
-  friend Taped operator*(const Taped& a, double b) { return Of(a.value_ * b, a, b); }
-  friend Taped operator*(double a, const Taped& b) { return Of(a * b.value_, b, a); }
+  friend Taped operator-(double a, const Taped& b) { return FromDerivatives(a - b.value_, b, -1); }
+  friend Taped operator*(const Taped& a, const Taped& b) {
+    return FromDerivatives(a.value_ * b.value_, a, b.value_, b, a.value_);
+  }
+  friend Taped operator*(const Taped& a, double b) { return FromDerivatives(a.value_ * b, a, b); }
+  friend Taped operator*(double a, const Taped& b) { return FromDerivatives(a * b.value_, b, a); }
   Taped& operator+=(const Taped& b) { return *this = *this + b; }
   Taped& operator-=(const Taped& b) { return *this = *this - b; }
   Taped& operator*=(const Taped& b) { return *this = *this * b; }
@@ -113,17 +115,17 @@ inline double Value(const Taped& x) { return x.value(); }
 // Functions with the derivatives of those of smooth_math.h.
 inline Taped Divide(const Taped& a, const Taped& b) {
   const double quotient = a.value() / b.value(), inverse = 1 / b.value();
-  return Taped::Of(quotient, a, inverse, b, -quotient * inverse);
+  return Taped::FromDerivatives(quotient, a, inverse, b, -quotient * inverse);
 }
-inline Taped Divide(const Taped& a, double b) { return Taped::Of(a.value() / b, a, 1 / b); }
+inline Taped Divide(const Taped& a, double b) { return Taped::FromDerivatives(a.value() / b, a, 1 / b); }
 inline Taped Divide(double a, const Taped& b) {
   const double quotient = a / b.value();
-  return Taped::Of(quotient, b, -quotient / b.value());
+  return Taped::FromDerivatives(quotient, b, -quotient / b.value());
 }
 inline Taped SafeSqrt(const Taped& x) {
   if (x.value() == 0) return Taped(0.0);
   const double root = std::sqrt(x.value());
-  return Taped::Of(root, x, 1 / (2 * root));
+  return Taped::FromDerivatives(root, x, 1 / (2 * root));
 }
 
 }  // namespace saltus

@@ -177,7 +177,7 @@ Certificate Certify(const Scene& scene, const std::vector<double>& initial, cons
                     const std::vector<double>& durations = {}, const StopRequest& stop = nullptr);
 
 // Converts a certificate from the units `from` to `to`. Residuals have no unit, and stay.
-Certificate InUnits(Certificate certificate, const Units& from, const Units& to);
+Certificate ToUnits(Certificate certificate, const Units& from, const Units& to);
 
 // Returns the curvature at a control that need not be stationary, with the intervals as they are; impacts at their ends
 // are held there. Returns std::nullopt if there is nothing to certify.

@@ -36,7 +36,7 @@ template <typename M>
 requires(!std::convertible_to<M, Contact>) GradientAudit
     AuditGradient(M model, const Scene& scene, const AuditOptions& options = {}) {
   if constexpr (ContactModel<M>) {
-    return AuditGradient(OwnContact(std::move(model)), scene, options);
+    return AuditGradient(UserContact(std::move(model)), scene, options);
   } else {
     return AuditGradient(ForceContact(std::move(model)), scene, options);
   }

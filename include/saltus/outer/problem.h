@@ -24,7 +24,7 @@
 #include <utility>
 #include <vector>
 
-#include "saltus/control/own_term.h"  // before kEnd, which its enumerator would shadow
+#include "saltus/control/user_term.h"  // before kEnd, which its enumerator would shadow
 #include "saltus/hybrid/compact_system.h"
 #include "saltus/hybrid/hybrid_problem.h"
 
@@ -34,7 +34,7 @@ class MechanicalSystem;
 
 // The place of a term: the final time, all control intervals, or the events of a guard.
 struct Place {
-  HybridTerm::At at = HybridTerm::At::kEnd;
+  HybridTerm::Timing at = HybridTerm::Timing::kEnd;
   std::string guard = {};  // kEvent: the name of the guard, in every mode that has one of this name
   bool before = false;     // kEvent: the function gets the state before the reset instead of that after it
 };
@@ -44,13 +44,13 @@ inline const Place kEnd{};
 // Inequalities hold at all times, between the ends of intervals too, as far as their greatest values are found
 // (HybridTerm::always). Equalities hold at the beginning of each interval and, unless they read the control, at
 // the end, so that their accuracy depends on the number of intervals.
-inline const Place kAlways{HybridTerm::At::kEachInterval};
+inline const Place kAlways{HybridTerm::Timing::kEachInterval};
 // Return the place of every event of a guard, with the state after it (OnEvent) or before it (BeforeEvent).
-inline Place OnEvent(std::string guard) { return {HybridTerm::At::kEvent, std::move(guard)}; }
-inline Place BeforeEvent(std::string guard) { return {HybridTerm::At::kEvent, std::move(guard), true}; }
+inline Place OnEvent(std::string guard) { return {HybridTerm::Timing::kEvent, std::move(guard)}; }
+inline Place BeforeEvent(std::string guard) { return {HybridTerm::Timing::kEvent, std::move(guard), true}; }
 
 // A variable by its name, and its bounds.
-struct Bounded {
+struct BoundedVariable {
   std::string name;
   double min = -std::numeric_limits<double>::infinity(), max = std::numeric_limits<double>::infinity();
 };
@@ -58,11 +58,11 @@ struct Bounded {
 // The unknowns of a problem. Names are those of the system, or "x[0]", "u[0]", "p[0]" where it has none. An unknown
 // that is listed by its name alone has no bounds.
 struct FreeVariables {
-  bool control = false;                // all components, in all intervals
-  std::vector<Bounded> controls = {};  // bounds of components; frees the control
-  std::vector<Bounded> initial = {};   // components of the initial state
-  std::vector<Bounded> parameters = {};
-  std::optional<Bounded> duration = {};  // in the system's unit of time, > 0; its name is not read
+  bool control = false;                        // all components, in all intervals
+  std::vector<BoundedVariable> controls = {};  // bounds of components; frees the control
+  std::vector<BoundedVariable> initial = {};   // components of the initial state
+  std::vector<BoundedVariable> parameters = {};
+  std::optional<BoundedVariable> duration = {};  // in the system's unit of time, > 0; its name is not read
 };
 
 // A hybrid system, the input of a motion as initial guess, costs, constraints and unknowns. Functions that add
@@ -79,9 +79,9 @@ class Problem {
   // Takes over a problem.
   explicit Problem(HybridProblem problem);
 
-  // The functions are templates, such as `[](const auto& a) { return a.x[0] - 20.0; }`, of a point At<T> with the state
-  // `x`, the parameters `p`, the time `t`, and in intervals the control `u` and the length `h`. They return a number or
-  // a Row. A term counts in all modes, whose states must have one size.
+  // The functions are templates, such as `[](const auto& a) { return a.x[0] - 20.0; }`, of a point At<T> with
+  // the state `x`, the parameters `p`, the time `t`, and in intervals the control `u` and the length `h`. They return a
+  // number or a Row. A term counts in all modes, whose states must have one size.
 
   // The loss gains the sum of squares (kAlways: its integral over time).
   template <typename F>
@@ -118,7 +118,7 @@ class Problem {
  private:
   // The numbers that a function of a term gets.
   struct Shape {
-    HybridTerm::At at = HybridTerm::At::kEnd;
+    HybridTerm::Timing at = HybridTerm::Timing::kEnd;
     int states = 0, controls = 0, parameters = 0;
     bool integrated = false, squared = false;  // the loss gains the integral over time; of the squares
     std::string name = {};                     // of the term
@@ -146,7 +146,7 @@ class Problem {
       at.u = {'u', shape.controls > 0 ? *blocks++ : nullptr, shape.controls, name};
       at.p = {'p', shape.parameters > 0 ? *blocks++ : nullptr, shape.parameters, name};
       at.t = **blocks++;
-      if (shape.at == HybridTerm::At::kEachInterval) at.h = **blocks++;
+      if (shape.at == HybridTerm::Timing::kEachInterval) at.h = **blocks++;
       using std::sqrt;
       const T factor = !shape.integrated ? T(1.0) : shape.squared ? T(sqrt(at.h)) : at.h;
       const auto values = function(std::as_const(at));
@@ -166,7 +166,8 @@ class Problem {
   Problem& Add(const Place& place, HybridTerm::Role role, F function) {
     Residuals<F> residuals{std::move(function), ShapeOf(place, role)};
     int count = 0;
-    TryOut(residuals.shape, [&](const double* const* blocks) { residuals.Visit(blocks, [&](double) { ++count; }); });
+    EvaluateAtGuess(residuals.shape,
+                    [&](const double* const* blocks) { residuals.Visit(blocks, [&](double) { ++count; }); });
     if (count == 0) {
       throw std::length_error(residuals.shape.name +
                               ": found a function that returns no numbers, expected one or more");
@@ -176,12 +177,12 @@ class Problem {
     for (const int size : BlocksOf(residuals.shape)) cost->AddParameterBlock(size);
     cost->SetNumResiduals(count);
     AddTerm(place, role, residuals.shape, std::move(cost));
-    if (place.at == HybridTerm::At::kEachInterval && role == HybridTerm::Role::kEquality) {
+    if (place.at == HybridTerm::Timing::kEachInterval && role == HybridTerm::Role::kEquality) {
       // Equalities hold at the end, too, unless they read the control.
       bool reads_control = false;
       const Residuals<F> at_end{residuals.function, ShapeOf(kEnd, role)};
       try {
-        TryOut(at_end.shape, [&](const double* const* blocks) { at_end.Visit(blocks, [](double) {}); });
+        EvaluateAtGuess(at_end.shape, [&](const double* const* blocks) { at_end.Visit(blocks, [](double) {}); });
       } catch (const std::out_of_range&) {
         reads_control = true;
       }
@@ -194,7 +195,7 @@ class Problem {
   Shape ShapeOf(const Place& place, HybridTerm::Role role) const;
   static std::vector<int> BlocksOf(const Shape& shape);
   // Calls the function once, with the numbers of the guess.
-  void TryOut(const Shape& shape, const std::function<void(const double* const*)>& function) const;
+  void EvaluateAtGuess(const Shape& shape, const std::function<void(const double* const*)>& function) const;
   void AddTerm(const Place& place, HybridTerm::Role role, const Shape& shape,
                std::shared_ptr<const ceres::CostFunction> function);
   void AddTerm(HybridTerm term);

@@ -210,9 +210,9 @@ struct Control {
   // Bounds of the magnitude of each component of the force, and of its norm, N, > 0; one per controlled body, or none.
   // Both may be given: then both hold.
   std::vector<double> max = {}, max_norm = {};
-  std::vector<int> turned = {};             // those of `bodies` (Scene indices) with a torque control too; they spin
-  std::vector<double> initial_torque = {};  // N m, counter-clockwise, one for each of `turned`
-  std::vector<double> max_torque = {};      // bound of its magnitude, N m, > 0; one for each of `turned`, or none
+  std::vector<int> torque_bodies = {};      // those of `bodies` (Scene indices) with a torque control too; they spin
+  std::vector<double> initial_torque = {};  // N m, counter-clockwise, one for each of `torque_bodies`
+  std::vector<double> max_torque = {};  // bound of its magnitude, N m, > 0; one for each of `torque_bodies`, or none
 
   bool IsBounded() const { return !max.empty() || !max_norm.empty() || !max_torque.empty(); }
 
@@ -248,11 +248,11 @@ struct TerminalTerm {
   // Returns the region of q(T); without one it is the target alone.
   Region Goal() const {
     if (region) return *region;
-    return IsOfSpin() ? Region{Vec2d(target[0], Region().min[1]), Vec2d(target[0], Region().max[1])}
-                      : Region{target, target};
+    return IsRotational() ? Region{Vec2d(target[0], Region().min[1]), Vec2d(target[0], Region().max[1])}
+                          : Region{target, target};
   }
   // Returns whether the quantity is an angle or an angular velocity, which is one number and has no component.
-  bool IsOfSpin() const { return quantity == Quantity::kAngle || quantity == Quantity::kAngularVelocity; }
+  bool IsRotational() const { return quantity == Quantity::kAngle || quantity == Quantity::kAngularVelocity; }
 
   bool operator==(const TerminalTerm&) const = default;
 };
@@ -283,10 +283,10 @@ struct ViaTerm {
 
 // The constraint that the speed of a disc that is not fixed is at most `max`, at the final time or always.
 struct SpeedLimit {
-  enum class At { kEnd, kAlways };
+  enum class Timing { kEnd, kAlways };
   int body = 0;
   double max = 0;  // m/s, > 0
-  At at = At::kAlways;
+  Timing at = Timing::kAlways;
 
   bool operator==(const SpeedLimit&) const = default;
 };
@@ -431,14 +431,14 @@ struct Scene {
   double dt() const { return duration / steps; }
   int num_bodies() const { return static_cast<int>(bodies.size()); }
   int num_controlled() const { return static_cast<int>(control.bodies.size()); }
-  int num_turned() const { return static_cast<int>(control.turned.size()); }
+  int num_torques() const { return static_cast<int>(control.torque_bodies.size()); }
   // Returns how many numbers a control has in each interval: [u_x u_y] of each controlled body, and then torque /
   // radius of each body with a torque control. All are forces, N.
-  int control_width() const { return 2 * num_controlled() + num_turned(); }
+  int control_width() const { return 2 * num_controlled() + num_torques(); }
   // Returns the index in a control of the force on controlled body c in interval k.
   std::size_t ForceIndex(std::size_t k, int c) const { return k * control_width() + 2 * static_cast<std::size_t>(c); }
-  // Returns the index in a control of torque / radius of body `control.turned[t]` in interval k.
-  std::size_t TurnIndex(std::size_t k, int t) const { return ForceIndex(k, num_controlled()) + t; }
+  // Returns the index in a control of torque / radius of body `control.torque_bodies[t]` in interval k.
+  std::size_t TorqueIndex(std::size_t k, int t) const { return ForceIndex(k, num_controlled()) + t; }
   // Returns whether any disc spins.
   bool Spins() const;
   // Returns whether a disc or a plane has a prescribed motion.

@@ -23,7 +23,7 @@
 #include <utility>
 #include <vector>
 
-#include "saltus/simulate/own_contact.h"
+#include "saltus/simulate/user_contact.h"
 
 namespace saltus {
 
@@ -88,7 +88,7 @@ struct ForceModel : F {
 // Makes a contact model of a force, with the current values of its members.
 template <typename F>
 Contact ForceContact(F force) {
-  return OwnContact(ForceModel<F>{std::move(force)});
+  return UserContact(ForceModel<F>{std::move(force)});
 }
 
 }  // namespace saltus

@@ -28,17 +28,17 @@ struct OptionValue {
 struct ContactEntry {
   ModelTraits traits;
   std::vector<ListedOption> options;
-  std::function<std::string(const Scene&)> why_not_applicable;  // returns "" if the model supports the scene
+  std::function<std::string(const Scene&)> reason_not_applicable;  // returns "" if the model supports the scene
   // Makes a simulator. Preconditions: the model supports the scene, and it has these options.
   std::function<std::unique_ptr<Simulator>(const Scene&, Precision, std::span<const OptionValue>)> make;
 };
 
 // A contact model with its options. It is made from a name, such as "event", with options in any order:
-// "ncp:kappa=1e-6:kappa_grad=1e-4". OwnContact() (own_contact.h) makes one of a model that is not in the registry.
+// "ncp:kappa=1e-6:kappa_grad=1e-4". UserContact() (user_contact.h) makes one of a model that is not in the registry.
 class Contact {
  public:
-  Contact() = default;  // has no name and no model: WhyNotApplicable() reports it
-  // Takes a name with options, which is copied and not checked: WhatIsWrongWith() does that.
+  Contact() = default;  // has no name and no model: ReasonNotApplicable() reports it
+  // Takes a name with options, which is copied and not checked: Validate() does that.
   template <std::convertible_to<std::string_view> Name>
   Contact(const Name& name) : name_(std::string_view(name)) {}
   explicit Contact(std::shared_ptr<const ContactEntry> own) : own_(std::move(own)), name_(own_->traits.name) {}
@@ -46,7 +46,7 @@ class Contact {
   // Returns the name of the model with the options that were set.
   const std::string& name() const { return name_; }
   // Returns this contact model with one more option, such as "kappa=1e-6".
-  Contact With(std::string_view option) const;
+  Contact WithOption(std::string_view option) const;
   // Returns the model; null if the registry has none of that name. An own model lives as long as a copy of the Contact.
   const ContactEntry* entry() const;
 
@@ -65,18 +65,18 @@ const ModelTraits* FindContactModel(const Contact& contact);
 const std::vector<ListedOption>& OptionsOf(const Contact& contact);
 
 // Returns the error in a contact model's name or options, as "found 'x', expected y"; empty if there is none.
-std::string WhatIsWrongWith(const Contact& contact);
+std::string Validate(const Contact& contact);
 
 // Returns whether an option that biases the derivative has another value than its default. Precondition:
-// WhatIsWrongWith(contact) is empty.
+// Validate(contact) is empty.
 bool HasBiasedDerivative(const Contact& contact);
 
-// Returns why a model cannot simulate `scene`: there is no such model (WhatIsWrongWith), the scene is wrong
+// Returns why a model cannot simulate `scene`: there is no such model (Validate), the scene is wrong
 // (ValidateStructure), or the model's own reason. Empty if it can.
-std::string WhyNotApplicable(const Contact& contact, const Scene& scene);
+std::string ReasonNotApplicable(const Contact& contact, const Scene& scene);
 
 // Makes a simulator, which copies the scene. Its numbers are in the scene's units, whatever units the model computes in
-// (scene/units.h). Precondition: WhyNotApplicable(contact, scene) is empty.
+// (scene/units.h). Precondition: ReasonNotApplicable(contact, scene) is empty.
 std::unique_ptr<Simulator> MakeSimulator(const Contact& contact, const Scene& scene, Precision precision);
 
 }  // namespace saltus

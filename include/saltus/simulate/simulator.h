@@ -47,9 +47,9 @@ struct StepTie {
 
 // The reason why a rollout failed.
 struct RolloutFailure {
-  int step = -1;          // -1: not known
-  int body = -1;          // a disc of the contact group that failed; -1: none in particular
-  std::string_view what;  // empty: a state is not finite
+  int step = -1;            // -1: not known
+  int body = -1;            // a disc of the contact group that failed; -1: none in particular
+  std::string_view reason;  // empty: a state is not finite
 };
 
 // Derivatives of one number with respect to the parameters of the scene. Those that a model does not read are 0.
@@ -74,7 +74,7 @@ struct ParameterGradient {
 
 // Returns the entry of `gradient` for a parameter of kind kRestitution or kFriction; in a scene with materials, that of
 // the pair that the parameter names.
-double ByContact(const SceneParameter& parameter, const ParameterGradient& gradient);
+double ContactDerivative(const SceneParameter& parameter, const ParameterGradient& gradient);
 
 // Derivatives of one number with respect to all inputs of a rollout.
 struct Sensitivity {
@@ -121,12 +121,12 @@ class StepLinearization {
   std::vector<int> flying;                // discs that are in no island
   std::vector<Eigen::MatrixXd> rotation;  // of each flying disc: d(next rotation)/d(rotation); empty without rotation
   std::vector<double> inverse_mass;       // of all discs, 1/kg; 0 if fixed
-  bool turns = false;                     // whether a disc of the scene has a torque control
+  bool has_torques = false;               // whether a disc of the scene has a torque control
   std::vector<Eigen::Vector2d>
-      turning;  // with torque controls, of each flying disc: d(next rotation)/d(torque / radius)
+      by_torque;  // with torque controls, of each flying disc: d(next rotation)/d(torque / radius)
 
   // Returns the size of the forces in a step, as Simulator::force_size().
-  std::size_t force_size() const { return (turns ? 3 : 2) * inverse_mass.size(); }
+  std::size_t force_size() const { return (has_torques ? 3 : 2) * inverse_mass.size(); }
   // Computes next = A x + B force, with x of state_size() and force of force_size() numbers.
   void Apply(std::span<const double> x, std::span<const double> force, std::span<double> next) const;
   // Computes x = A^T next and force = B^T next.
@@ -136,7 +136,7 @@ class StepLinearization {
 };
 
 // The free flight of a step of some length, and its derivative by that length.
-struct FlightOver {
+struct VariableFreeFlight {
   StepLinearization::FreeFlight flight, by_time;
   // The free flight of the angle, by the angular velocity and the angular acceleration, of discs that spin.
   StepLinearization::FreeFlight turn = {}, turn_by_time = {};
@@ -163,14 +163,14 @@ class Simulator {
   int initial_size() const { return InitialSize(scene_); }
   int control_width() const { return scene_.control_width(); }  // size of a control in each step
   int control_size() const { return num_steps_ * control_width(); }
-  int force_size() const { return (scene_.num_turned() > 0 ? 3 : 2) * num_bodies(); }
+  int force_size() const { return (scene_.num_torques() > 0 ? 3 : 2) * num_bodies(); }
 
   // Simulates all K steps from `initial` under `control`. Returns false if a state is not finite, if the iterations of
   // a step do not converge, or if the model violates a guarantee of contact_model.h. Adjoint and states after that step
   // then have no meaning. Returns false too if it was stopped, and then has no results.
   virtual bool Rollout(std::span<const double> initial, std::span<const double> control) = 0;
   // Returns why the last rollout returned false, with the model, the step and the disc; empty if it returned true.
-  std::string WhyFailed() const;
+  std::string FailureReason() const;
 
   // Results of the last rollout: state k = 0..K (state_size() numbers), and the contacts, in order of steps.
   virtual void GetState(int k, std::span<double> x) const = 0;
@@ -214,7 +214,7 @@ class Simulator {
                          StepLinearization* linearization) const = 0;
 
   // Returns free flight in one step of any length h > 0, s; std::nullopt if the model has no derivative by the length.
-  virtual std::optional<FlightOver> FreeFlightOver(double h) const = 0;
+  virtual std::optional<VariableFreeFlight> FreeFlightOfLength(double h) const = 0;
 
   // Writes the full state of an initial state: rotations that it does not have are at their start values, and fixed
   // discs are at rest.

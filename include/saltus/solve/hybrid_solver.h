@@ -12,8 +12,8 @@ namespace saltus {
 struct HybridSolverEntry {
   std::string_view name;
   std::string_view summary;  // one line
-  // Returns why it does not support a problem; empty if it does. Precondition: WhatIsWrongWith(problem) is empty.
-  std::string (*why_not)(const HybridProblem&);
+  // Returns why it does not support a problem; empty if it does. Precondition: Validate(problem) is empty.
+  std::string (*reason_not_applicable)(const HybridProblem&);
   SolveReport (*solve)(const HybridProblem&, const SolverOptions&);
 };
 

@@ -15,8 +15,8 @@
 #include <vector>
 
 #include "saltus/control/contact_sequence.h"
-#include "saltus/control/own_term.h"
 #include "saltus/control/surrogate.h"
+#include "saltus/control/user_term.h"
 #include "saltus/optimality/certificate.h"
 #include "saltus/scene/scene.h"
 #include "saltus/simulate/registry.h"
@@ -36,7 +36,7 @@ struct SolveRequest {
   Precision precision = Precision::kDouble;
   // User-defined terms in addition to the scene's objective and constraints, in SI units; for solvers that support
   // them.
-  std::vector<OwnTerm> terms = {};
+  std::vector<UserTerm> terms = {};
 };
 
 // Limits and starts of a search over collision sequences. The limit that is reached first ends it.
@@ -51,7 +51,7 @@ struct SearchOptions {
   std::uint64_t seed = 1;                       // of the random starts
 };
 // Returns the error in the options and what was expected; empty if there is none.
-std::string WhyNotValid(const SearchOptions& options);
+std::string Validate(const SearchOptions& options);
 
 // An initial guess of the control: K rows of control_width() forces in N, for any K, on intervals that last `durations`
 // (K numbers >= 0, s), or on equal intervals if there are none.
@@ -125,7 +125,7 @@ struct LocalOptimum {
 };
 
 // Statistics of a search over sequences, and bounds that it has proved.
-struct Searched {
+struct SearchStatistics {
   int sequences = 0;      // number of sequences along which it solved
   int starts = 0;         // number of motions from which it started, with the initial guess
   double work = 0;        // counted as SearchOptions::work
@@ -204,7 +204,7 @@ struct SolveReport {
       certificate;                        // of solvers with a certificate, and of runs that converged in exact dynamics
   std::optional<Certificate> continuous;  // of hmp: the conditions in continuous time, at the optimum there
   std::vector<LocalOptimum> optima;       // of mode_search: all optima, best first
-  std::optional<Searched> searched;       // of mode_search
+  std::optional<SearchStatistics> searched;  // of mode_search
 };
 
 inline constexpr double kFeasible = 1e-8;  // the largest Solution::violation of a feasible motion
@@ -217,13 +217,13 @@ struct SolverEntry {
   std::string_view name;     // the value of --solver
   std::string_view summary;  // one line
   // Returns why it does not support a request (apart from reasons of the contact model); empty if it does.
-  std::string (*why_not)(const SolveRequest&);
+  std::string (*reason_not_applicable)(const SolveRequest&);
   SolveReport (*solve)(const SolveRequest&, const SolverOptions&);
   bool exact_only = false;       // supports the event-driven contact model only
   bool takes_surrogate = false;  // supports surrogates, because it uses the gradient as a direction only
   bool any_units = false;        // has no thresholds; the others compute in the natural units of the scene (units.h)
-  bool constraints = false;      // supports what BeyondTerminalCost() names, with exceptions by why_not
-  bool own_terms = false;        // supports SolveRequest::terms
+  bool constraints = false;      // supports what NonTerminalFeatures() names, with exceptions by reason_not_applicable
+  bool user_terms = false;       // supports SolveRequest::terms
   bool design = false;           // supports Scene::design
   // Whether it solves a scene with Scene::design and a control as a hybrid problem whose parameters are Scene::design.
   bool given_design = false;

@@ -79,12 +79,12 @@ class Attributor {
   Attribution Run() {
     Attribution out;
     const ModelTraits* exact = ExactModel();
-    if (exact != nullptr && WhyNotApplicable(exact->name, scene_).empty()) exact_contact_ = exact->name;
+    if (exact != nullptr && ReasonNotApplicable(exact->name, scene_).empty()) exact_contact_ = exact->name;
     if (exact_contact_.empty()) {
       out.reason = "there is no exact flow";
       return out;
     }
-    if (const std::string beyond = BeyondBallistic(scene_); !beyond.empty()) {
+    if (const std::string beyond = NonBallisticForces(scene_); !beyond.empty()) {
       out.reason = "the scene has " + beyond + "; contacts are compared between flights of constant acceleration";
       return out;
     }
@@ -95,7 +95,7 @@ class Attributor {
         out.limit = "no contacts";
         return out;
       }
-      out.reason = "the rollout fails: " + model_->WhyFailed();
+      out.reason = "the rollout fails: " + model_->FailureReason();
       return out;
     }
     const std::vector<Interval> intervals = FindIntervals();
@@ -138,20 +138,20 @@ class Attributor {
     }
     return plain;
   }
-  ForceOfStep ForcesFrom(int begin, int finer = 1) const {
+  ForceOfStep IntervalForces(int begin, int finer = 1) const {
     return [this, begin, finer](int k, std::span<double> force) {
       model_->ExpandForce(control_, begin + k / finer, force);
     };
   }
   // Returns the scene for the model `contact` over the time of an interval, cut into `steps` of the model's steps.
-  Scene SceneOver(const Contact& contact, const Interval& interval, int steps) const {
+  Scene IntervalScene(const Contact& contact, const Interval& interval, int steps) const {
     Scene scene = scene_;
     scene.duration = (interval.end - interval.begin) * h();
     scene.steps = steps * CHECK_NOTNULL(FindContactModel(contact))->grid_steps;
     return scene;
   }
   std::unique_ptr<Simulator> SimulatorOf(const Contact& contact, const Interval& interval, int steps) const {
-    return Simulate(contact, SceneOver(contact, interval, steps));
+    return Simulate(contact, IntervalScene(contact, interval, steps));
   }
 
   std::vector<Interval> FindIntervals() const {
@@ -237,15 +237,15 @@ class Attributor {
     return std::ranges::any_of(touches, [&](const StepTouch& at) { return Involves(interval, at.touch.candidate); });
   }
 
-  StepMap ExactOver(const Interval& interval, const std::vector<int>* bodies) const {
-    if (bodies != nullptr && IsCrowd()) return MapOver(exact_contact_, interval, 1, *bodies);
+  StepMap ExactMap(const Interval& interval, const std::vector<int>* bodies) const {
+    if (bodies != nullptr && HasManyDiscs()) return IntervalMap(exact_contact_, interval, 1, *bodies);
     const int steps = interval.end - interval.begin;
     const std::unique_ptr<Simulator> exact = SimulatorOf(exact_contact_, interval, steps);
     const std::vector<double> begin = PlainStateAt(interval.begin);
-    return RunSteps(*exact, begin, ForcesFrom(interval.begin), steps, bodies);
+    return RunSteps(*exact, begin, IntervalForces(interval.begin), steps, bodies);
   }
 
-  std::vector<StepTouch> TouchesOver(const Contact& contact, const Interval& interval) const {
+  std::vector<StepTouch> IntervalTouches(const Contact& contact, const Interval& interval) const {
     const std::unique_ptr<Simulator> simulator = SimulatorOf(contact, interval, interval.end - interval.begin);
     simulator->Rollout(ToInitial(PlainStateAt(interval.begin), scene_.num_bodies()),
                        InitialControl(simulator->scene(), simulator->num_steps()));
@@ -253,30 +253,31 @@ class Attributor {
   }
 
   std::vector<StepTouch> ExactTouches(const Interval& interval) const {
-    return IsCrowd() ? TouchesOver(exact_contact_, interval) : ExactOver(interval, nullptr).touches;
+    return HasManyDiscs() ? IntervalTouches(exact_contact_, interval) : ExactMap(interval, nullptr).touches;
   }
 
-  std::vector<StepTouch> OwnTouches(const Interval& interval) const {
-    if (IsCrowd()) return TouchesOver(contact_, interval);
+  std::vector<StepTouch> ModelTouches(const Interval& interval) const {
+    if (HasManyDiscs()) return IntervalTouches(contact_, interval);
     const int steps = interval.end - interval.begin;
-    return RunSteps(model(), StateAt(interval.begin), ForcesFrom(interval.begin), steps, nullptr).touches;
+    return RunSteps(model(), StateAt(interval.begin), IntervalForces(interval.begin), steps, nullptr).touches;
   }
 
   // Returns the linearization of the model over some discs, with `finer` times as many steps.
-  StepMap OwnMap(const Interval& interval, const std::vector<int>& bodies, int finer = 1) const {
-    if (IsCrowd()) return MapOver(contact_, interval, finer, bodies);
+  StepMap ModelMap(const Interval& interval, const std::vector<int>& bodies, int finer = 1) const {
+    if (HasManyDiscs()) return IntervalMap(contact_, interval, finer, bodies);
     const int steps = (interval.end - interval.begin) * finer;
     std::unique_ptr<Simulator> fine;
     if (finer > 1) fine = SimulatorOf(contact_, interval, steps);
     const Simulator& simulator = finer > 1 ? *fine : model();
-    return RunSteps(simulator, StateAt(interval.begin), ForcesFrom(interval.begin, finer), steps, &bodies);
+    return RunSteps(simulator, StateAt(interval.begin), IntervalForces(interval.begin, finer), steps, &bodies);
   }
 
   // Returns the linearization over discs that meet no others in the interval; among many discs these are simulated
   // alone.
-  StepMap MapOver(const Contact& contact, const Interval& interval, int finer, const std::vector<int>& bodies) const {
+  StepMap IntervalMap(const Contact& contact, const Interval& interval, int finer,
+                      const std::vector<int>& bodies) const {
     const int steps = (interval.end - interval.begin) * finer;
-    Scene scene = SceneOver(contact, interval, steps);
+    Scene scene = IntervalScene(contact, interval, steps);
     scene.control = {};
     scene.objective.terminal.clear();
     scene.free.clear();
@@ -299,9 +300,9 @@ class Attributor {
         scene.control.bodies.push_back(at);
         scene.control.initial.push_back(scene_.control.initial[c]);
       }
-      for (int t = 0; t < scene_.num_turned(); ++t) {
-        if (scene_.control.turned[t] != i) continue;
-        scene.control.turned.push_back(at);
+      for (int t = 0; t < scene_.num_torques(); ++t) {
+        if (scene_.control.torque_bodies[t] != i) continue;
+        scene.control.torque_bodies.push_back(at);
         scene.control.initial_torque.push_back(scene_.control.initial_torque[t]);
       }
     }
@@ -336,9 +337,9 @@ class Attributor {
     StepLinearization step;
     int k = model_->num_steps();
     for (size_t i : order) {
-      if (IsCrowd() && k > intervals[i].end) {
+      if (HasManyDiscs() && k > intervals[i].end) {
         const Eigen::VectorXd pulled =
-            PullBackOver(intervals[i].end, k, Eigen::Map<Eigen::VectorXd>(lambda.data(), lambda.size()));
+            PullBackInterval(intervals[i].end, k, Eigen::Map<Eigen::VectorXd>(lambda.data(), lambda.size()));
         lambda.assign(pulled.begin(), pulled.end());
         k = intervals[i].end;
       }
@@ -352,26 +353,26 @@ class Attributor {
     }
   }
 
-  bool IsCrowd() const { return scene_.num_bodies() > kMostDiscsByMatrices && model_->body_size() == size_; }
+  bool HasManyDiscs() const { return scene_.num_bodies() > kMostDiscsByMatrices && model_->body_size() == size_; }
 
-  Eigen::VectorXd PullBackOver(int begin, int end, const Eigen::VectorXd& costate) const {
+  Eigen::VectorXd PullBackInterval(int begin, int end, const Eigen::VectorXd& costate) const {
     std::vector<int> all(model_->num_bodies());
     std::iota(all.begin(), all.end(), 0);
-    return PullBackOver(contact_, {begin, end, {}}, 1, all, costate).Sum();
+    return PullBackInterval(contact_, {begin, end, {}}, 1, all, costate).Sum();
   }
 
-  PulledCostate PullBackOver(const Contact& contact, const Interval& interval, int finer,
-                             const std::vector<int>& bodies, const Eigen::VectorXd& lambda) const {
+  PulledCostate PullBackInterval(const Contact& contact, const Interval& interval, int finer,
+                                 const std::vector<int>& bodies, const Eigen::VectorXd& lambda) const {
     const std::unique_ptr<Simulator> simulator =
         SimulatorOf(contact, interval, (interval.end - interval.begin) * finer);
     return PullBackCostate(simulator.get(), PlainStateAt(interval.begin), bodies, lambda);
   }
 
   // Compares linearizations by their products with the costate, which is all of them that enters the gradient.
-  void CompareCrowd(const Interval& interval, const std::vector<int>& bodies, const Eigen::VectorXd& lambda,
-                    const std::vector<StepTouch>& exact, ContactError* error) const {
-    const PulledCostate right = PullBackOver(exact_contact_, interval, 1, bodies, lambda);
-    const PulledCostate own = PullBackOver(contact_, interval, 1, bodies, lambda);
+  void CompareByProducts(const Interval& interval, const std::vector<int>& bodies, const Eigen::VectorXd& lambda,
+                         const std::vector<StepTouch>& exact, ContactError* error) const {
+    const PulledCostate right = PullBackInterval(exact_contact_, interval, 1, bodies, lambda);
+    const PulledCostate own = PullBackInterval(contact_, interval, 1, bodies, lambda);
     const double size = Norm(own.Sum() - right.Sum(), bodies), scale = std::max(Norm(right.Sum(), bodies), 1e-300);
     error->error = size / scale;
     error->block = LargestBlock([&](bool to_velocity, bool from_velocity) {
@@ -383,13 +384,13 @@ class Attributor {
       return Norm(part, bodies);
     });
     if (error->error <= kSmallError) return;
-    if (const std::string plain = WhyWithoutMaps(interval, exact); !plain.empty()) {
-      error->why = plain;
+    if (const std::string plain = CauseFromTouches(interval, exact); !plain.empty()) {
+      error->cause = plain;
     } else if (interval.longest() > 1) {
-      const PulledCostate fine = PullBackOver(contact_, interval, FinerSteps(interval), bodies, lambda);
-      error->why = DescribeUnresolved(interval, size, Norm(fine.Sum() - right.Sum(), bodies));
+      const PulledCostate fine = PullBackInterval(contact_, interval, FinerSteps(interval), bodies, lambda);
+      error->cause = DescribeUnresolved(interval, size, Norm(fine.Sum() - right.Sum(), bodies));
     } else {
-      error->why = WhyInOneStep(exact);
+      error->cause = CauseInOneStep(exact);
     }
   }
 
@@ -420,7 +421,7 @@ class Attributor {
     error.a = scene_.bodies[first->pair.a].name;
     error.b = first->pair.plane ? walls_[first->pair.b].name : scene_.bodies[first->pair.b].name;
 
-    std::vector<StepTouch> own = OwnTouches(interval);
+    std::vector<StepTouch> own = ModelTouches(interval);
     std::vector<StepTouch> exact_touches = ExactTouches(interval);
     std::vector<int> bodies;
     KeepConnected(interval, &exact_touches, &own, &bodies);
@@ -430,13 +431,13 @@ class Attributor {
       lambda.segment(size_ * i, size_) = costate.segment(bodies[i] * model().body_size(), size_);
     }
     error.exact_impacts = static_cast<int>(exact_touches.size());
-    if (IsCrowd() && n > kMostDiscsByMatrices) {
-      CompareCrowd(interval, bodies, lambda, exact_touches, &error);
+    if (HasManyDiscs() && n > kMostDiscsByMatrices) {
+      CompareByProducts(interval, bodies, lambda, exact_touches, &error);
       return error;
     }
-    StepMap exact = ExactOver(interval, &bodies);
+    StepMap exact = ExactMap(interval, &bodies);
     exact.touches = exact_touches;
-    const StepMap approximate = OwnMap(interval, bodies);
+    const StepMap approximate = ModelMap(interval, bodies);
     const Eigen::MatrixXd difference = approximate.A - exact.A;
     const double scale = std::max(Norm(exact.A.transpose() * lambda, bodies), 1e-300);
     error.error = Norm(difference.transpose() * lambda, bodies) / scale;
@@ -450,35 +451,35 @@ class Attributor {
       }
       return Norm(part, bodies);
     });
-    if (error.error > kSmallError) error.why = Why(interval, exact, approximate, bodies);
+    if (error.error > kSmallError) error.cause = FindCause(interval, exact, approximate, bodies);
     return error;
   }
 
-  std::string Why(const Interval& interval, const StepMap& exact, const StepMap& approximate,
-                  const std::vector<int>& bodies) const {
-    if (const std::string plain = WhyWithoutMaps(interval, exact.touches); !plain.empty()) return plain;
-    if (interval.longest() > 1) return WhyUnresolved(interval, exact, approximate, bodies);
-    if (const std::optional<PairImpact> impact = OnlyImpact(interval, exact)) {
+  std::string FindCause(const Interval& interval, const StepMap& exact, const StepMap& approximate,
+                        const std::vector<int>& bodies) const {
+    if (const std::string plain = CauseFromTouches(interval, exact.touches); !plain.empty()) return plain;
+    if (interval.longest() > 1) return CauseOfUnresolvedForce(interval, exact, approximate, bodies);
+    if (const std::optional<PairImpact> impact = IsSingleImpact(interval, exact)) {
       // Bodies are in the order of their indices, and so are the two of a pair.
       if (const std::optional<std::string> fault = RecogniseFault(*impact, approximate.A, scene_.duration))
         return *fault;
     }
-    return WhyInOneStep(exact.touches);
+    return CauseInOneStep(exact.touches);
   }
 
   // Returns the cause that follows from the touches alone; empty if none does.
-  static std::string WhyWithoutMaps(const Interval& interval, const std::vector<StepTouch>& exact) {
+  static std::string CauseFromTouches(const Interval& interval, const std::vector<StepTouch>& exact) {
     if (exact.empty()) return "touches where the exact motion does not";
     const bool rests = std::any_of(
         exact.begin(), exact.end(), [](const StepTouch& at) { return at.touch.kind == ContactKind::kSustained; });
     return rests || interval.end - interval.begin >= kLongest ? "a contact that lasts" : "";
   }
 
-  static std::string WhyInOneStep(const std::vector<StepTouch>& exact) {
+  static std::string CauseInOneStep(const std::vector<StepTouch>& exact) {
     return exact.size() > 1 ? std::to_string(exact.size()) + " impacts in one step" : "no known cause";
   }
 
-  std::optional<PairImpact> OnlyImpact(const Interval& interval, const StepMap& exact) const {
+  std::optional<PairImpact> IsSingleImpact(const Interval& interval, const StepMap& exact) const {
     if (exact.touches.size() != 1 || interval.meetings.size() != 1) return std::nullopt;
     const StepTouch& at = exact.touches.front();
     const Candidate& pair = at.touch.candidate;
@@ -488,9 +489,9 @@ class Attributor {
     Interval until = interval;
     until.end = interval.begin + at.step;
     std::vector<double> x = PlainStateAt(interval.begin);
-    if (at.step > 0) x = ExactOver(until, nullptr).end;
+    if (at.step > 0) x = ExactMap(until, nullptr).end;
     std::vector<double> force(model_->force_size());
-    ForcesFrom(interval.begin)(at.step, force);
+    IntervalForces(interval.begin)(at.step, force);
     const double time = at.touch.time;
     struct Motion {
       Vec2d p, v, a;
@@ -530,7 +531,7 @@ class Attributor {
       if (!body.Spins()) continue;
       impact.inverse_inertia[side] = 1 / body.MomentOfInertia();
       impact.spin[side] = x[size_ * i + 5];
-      if (scene_.num_turned() == 0) continue;
+      if (scene_.num_torques() == 0) continue;
       const double torque = body.radius * force[2 * scene_.bodies.size() + i];
       impact.spin[side] += time * torque * impact.inverse_inertia[side];
     }
@@ -547,9 +548,9 @@ class Attributor {
   }
 
   // Returns whether the cause is an unresolved force, by the same model over the interval with far smaller steps.
-  std::string WhyUnresolved(const Interval& interval, const StepMap& exact, const StepMap& approximate,
-                            const std::vector<int>& bodies) const {
-    const StepMap fine = OwnMap(interval, bodies, FinerSteps(interval));
+  std::string CauseOfUnresolvedForce(const Interval& interval, const StepMap& exact, const StepMap& approximate,
+                                     const std::vector<int>& bodies) const {
+    const StepMap fine = ModelMap(interval, bodies, FinerSteps(interval));
     const Eigen::VectorXd scales = StateScales(scene_, bodies, scene_.duration);
     const double coarse_error = ScaledNorm(approximate.A - exact.A, scales);
     const double fine_error = ScaledNorm(fine.A - exact.A, scales);
@@ -690,9 +691,9 @@ Attribution AttributeError(const Contact& contact, const Scene& given, const Att
   CHECK_GE(options.seconds, 0);
   CHECK_GT(options.threads, 0);
   Attribution refused;
-  refused.reason = WhyNotApplicable(contact, given);
+  refused.reason = ReasonNotApplicable(contact, given);
   if (!refused.ok()) return refused;
-  const Scene scene = InNaturalUnits(given);
+  const Scene scene = ToNaturalUnits(given);
   const StopRequest end = StopAfter(options.seconds, options.stop);
   const StopRequest half = StopAfter(options.seconds / 2, options.stop);
   Attribution own = Attributor(contact, scene, half, options.status, options.threads).Run();
@@ -717,9 +718,9 @@ Attribution AttributeError(const Contact& contact, const Scene& given, const Att
     // a while by the scene's own.
     const ContactError& finest = same != nullptr ? *same : error;
     const bool impulse = finest.first_step == finest.last_step;
-    if (impulse && !finest.why.empty()) error.why = finest.why;
-    if (!impulse && error.first_step == error.last_step) error.why = "contact force not resolved by its single step";
-    if (!error.stays && impulse) error.why.clear();
+    if (impulse && !finest.cause.empty()) error.cause = finest.cause;
+    if (!impulse && error.first_step == error.last_step) error.cause = "contact force not resolved by its single step";
+    if (!error.stays && impulse) error.cause.clear();
     if (own.first_wrong < 0 && error.error > kSmallError && (error.stays || !impulse)) {
       own.first_wrong = static_cast<int>(i);
     }

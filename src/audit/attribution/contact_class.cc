@@ -241,13 +241,13 @@ const char* MeaningOf(ContactClass contact_class) {
 
 ContactRecognition RecogniseContact(const Contact& contact, const Scene& scene, const StopRequest& stop) {
   ContactRecognition refused;
-  refused.words = WhyNotApplicable(contact, scene);
+  refused.words = ReasonNotApplicable(contact, scene);
   if (!refused.words.empty()) return refused;
-  if (const std::string beyond = BeyondBallistic(scene); !beyond.empty()) {
+  if (const std::string beyond = NonBallisticForces(scene); !beyond.empty()) {
     refused.words = "the scene has " + beyond + ", and contacts are looked at beside flights of constant acceleration";
     return refused;
   }
-  const Scene natural = InNaturalUnits(scene);
+  const Scene natural = ToNaturalUnits(scene);
   const std::optional<Encounter> encounter = FindEncounter(contact, natural, stop);
   if (!encounter) {
     refused.restitution = natural.contact.restitution;

@@ -49,15 +49,15 @@ struct Touching {
   int end() const { return begin + static_cast<int>(changes.size()); }
   double sum() const { return std::accumulate(changes.begin(), changes.end(), 0.0); }
   // Returns how many of the last steps have changed the velocity by more than `change`.
-  int NumFelt(double change) const {
+  int NumChangedSteps(double change) const {
     const auto less = [change](double other) { return std::abs(other) <= change; };
     return static_cast<int>(std::find_if(changes.rbegin(), changes.rend(), less) - changes.rbegin());
   }
 };
 
 // Whether another body is within `margin` of a moving disc of the pair.
-bool Crowded(const Scene& scene, const std::vector<WallPart>& walls, const Candidate& pair, std::span<const double> x,
-             int body_size, double margin) {
+bool HasNearbyBody(const Scene& scene, const std::vector<WallPart>& walls, const Candidate& pair,
+                   std::span<const double> x, int body_size, double margin) {
   const auto position = [&](int i) { return Vec2d(x[i * body_size], x[i * body_size + 1]); };
   const auto near = [&](int disc, int other, bool plane) {
     const double radius = scene.bodies[disc].radius;
@@ -123,7 +123,7 @@ double PairMotion::Change(std::span<const double> from, std::span<const double> 
   return Dot(NormalAt(from), Vec2d(Relative(to, 2) - flown));
 }
 
-bool PairMotion::Rests(std::span<const double> x) const {
+bool PairMotion::IsResting(std::span<const double> x) const {
   return -Speed(x) <= kRestingSteps * simulator_.step() * std::abs(Dot(NormalAt(x), acceleration_));
 }
 
@@ -149,11 +149,12 @@ std::optional<Encounter> FindEncounter(const Contact& contact, const Scene& scen
     const std::vector<double> x = state(at.step);
     touching.changes.push_back(motion.Change(x, state(at.step + 1)));
     const double closing = -motion.Speed(x);
-    if (touching.crowded || motion.Rests(x) || std::abs(touching.sum()) < kMet * closing) continue;
-    touching.crowded = Crowded(scene, walls, touching.pair, x, model->body_size(), kApart * closing * model->step());
+    if (touching.crowded || motion.IsResting(x) || std::abs(touching.sum()) < kMet * closing) continue;
+    touching.crowded =
+        HasNearbyBody(scene, walls, touching.pair, x, model->body_size(), kApart * closing * model->step());
     if (touching.crowded) continue;
     // A force that sets in smoothly begins before its effect exceeds the threshold.
-    const int earlier = 2 * (touching.NumFelt(kFelt * closing) - 1);
+    const int earlier = 2 * (touching.NumChangedSteps(kFelt * closing) - 1);
     encounter.step = std::max(touching.begin, at.step - earlier);
     encounter.before = state(std::max(0, encounter.step - kLead));
     return encounter;
@@ -161,7 +162,7 @@ std::optional<Encounter> FindEncounter(const Contact& contact, const Scene& scen
   return std::nullopt;
 }
 
-std::unique_ptr<Simulator> ModelBench::SimulatorOver(double h) const {
+std::unique_ptr<Simulator> ModelBench::MakeSimulatorOfLength(double h) const {
   Scene scene = scene_;
   scene.duration = h;
   scene.steps = CHECK_NOTNULL(FindContactModel(contact_))->grid_steps;
@@ -197,7 +198,7 @@ const ContactRun& RunRecorder::Finish() {
 }
 
 ContactRun ModelBench::Run(double h, std::span<const double> from, bool onset_only) const {
-  const std::unique_ptr<Simulator> simulator = SimulatorOver(h);
+  const std::unique_ptr<Simulator> simulator = MakeSimulatorOfLength(h);
   const PairMotion pair(*simulator, FreeFlightOf(*simulator), encounter_.pair, encounter_.force);
   RunRecorder recorder(onset_only);
   std::deque<std::vector<double>> past;  // at most kLead + 1 states, the last one current
@@ -224,7 +225,7 @@ ContactRun ModelBench::Run(double h, std::span<const double> from, bool onset_on
 }
 
 NormalMap ModelBench::Linearize(double h, std::span<const double> before_largest) const {
-  const std::unique_ptr<Simulator> simulator = SimulatorOver(h);
+  const std::unique_ptr<Simulator> simulator = MakeSimulatorOfLength(h);
   const Candidate& pair = encounter_.pair;
   const PairMotion motion(*simulator, FreeFlightOf(*simulator), pair, encounter_.force);
   struct Moving {

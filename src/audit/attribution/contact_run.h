@@ -23,7 +23,7 @@ class PairMotion {
   // Returns the change of speed by a step between these states, less that of free flight, m/s.
   double Change(std::span<const double> from, std::span<const double> to) const;
   // Whether the closing speed is no more than the acceleration makes within a few steps.
-  bool Rests(std::span<const double> x) const;
+  bool IsResting(std::span<const double> x) const;
   const StepLinearization::FreeFlight& free() const { return free_; }
 
  private:
@@ -114,7 +114,7 @@ class ModelBench final : public ContactBench {
 
  private:
   // Returns a simulator of one step of length `h`.
-  std::unique_ptr<Simulator> SimulatorOver(double h) const;
+  std::unique_ptr<Simulator> MakeSimulatorOfLength(double h) const;
 
   const Contact& contact_;
   const Scene& scene_;

@@ -15,7 +15,7 @@ namespace saltus {
 namespace {
 
 // Returns A of dx' = A dx over `bodies`, rotation included.
-Eigen::MatrixXd DenseOver(const StepLinearization& step, const std::vector<int>& bodies) {
+Eigen::MatrixXd DenseStateMatrix(const StepLinearization& step, const std::vector<int>& bodies) {
   const int size = step.body_size;
   const int n = static_cast<int>(bodies.size());
   Eigen::MatrixXd A = Eigen::MatrixXd::Zero(n * size, n * size);
@@ -71,7 +71,7 @@ StepMap RunSteps(const Simulator& simulator, std::span<const double> begin, cons
     force(k, u);
     if (bodies != nullptr) {
       simulator.Linearize(x, u, /*with_parameters=*/false, &linearization);
-      const Eigen::MatrixXd step = DenseOver(linearization, *bodies);
+      const Eigen::MatrixXd step = DenseStateMatrix(linearization, *bodies);
       A = k == 0 ? step : Multiply(step, A);
     }
     touches.clear();
@@ -173,7 +173,7 @@ void AddOverlap(const PairImpact& impact, const ImpactTerms& terms, double momen
   }
 }
 
-Variation ThroughImpact(const PairImpact& impact, const ImpactTerms& terms, const Variation& in) {
+Variation VaryThroughImpact(const PairImpact& impact, const ImpactTerms& terms, const Variation& in) {
   const Vec2d n = impact.normal, t = Perpendicular(n);
   const Vec2d w = impact.velocity_a - impact.velocity_b;
   const std::array<double, 2> share = {impact.inverse_mass_a, -impact.inverse_mass_b};
@@ -364,7 +364,7 @@ Eigen::MatrixXd LinearizeImpact(const PairImpact& impact, const ImpactTerms& ter
         (j == 4 ? x.angle : x.w)[body] = 1;
       }
       Fly(impact.before, &x);
-      x = ThroughImpact(impact, terms, x);
+      x = VaryThroughImpact(impact, terms, x);
       Fly(impact.after, &x);
       int row = 0;
       for (int i = 0; i < 2; ++i) {

@@ -60,10 +60,11 @@ class CountedBox final : public BlackBox {
 
   const std::string& name() const override { return box_->name(); }
   BlackBoxTraits Describe(const Scene& scene) override { return box_->Describe(scene); }
-  std::vector<Answer> Ask(const Scene& scene, const std::vector<Question>& questions,
-                          const StopRequest& stop) override {
-    calls_ += std::ranges::count_if(questions, [](const Question& q) { return q.kind != Question::Kind::kStep; });
-    return box_->Ask(scene, questions, stop);
+  std::vector<BlackBoxAnswer> Evaluate(const Scene& scene, const std::vector<BlackBoxRequest>& requests,
+                                       const StopRequest& stop) override {
+    calls_ += std::ranges::count_if(requests,
+                                    [](const BlackBoxRequest& q) { return q.kind != BlackBoxRequest::Kind::kStep; });
+    return box_->Evaluate(scene, requests, stop);
   }
 
   std::int64_t calls() const { return calls_; }
@@ -74,14 +75,19 @@ class CountedBox final : public BlackBox {
 };
 
 // Returns the question for the final state of the scene's motion over the first `steps` of its grid.
-Question OwnMotion(const Scene& scene, int steps) {
-  return {Question::Kind::kSimulate, steps, steps * scene.dt(), InitialState(scene), InitialControl(scene, steps), {}};
+BlackBoxRequest MakeSceneRequest(const Scene& scene, int steps) {
+  return {BlackBoxRequest::Kind::kSimulate,
+          steps,
+          steps * scene.dt(),
+          InitialState(scene),
+          InitialControl(scene, steps),
+          {}};
 }
 
 // Returns the relative noise of the answers: the residual of the final position of a disc as a linear function of small
 // displacements of its initial position, at least the rounding of doubles.
 double FindNoise(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits, const StopRequest& stop) {
-  const Question flight = OwnMotion(scene, kFlight * traits.grid_steps);
+  const BlackBoxRequest flight = MakeSceneRequest(scene, kFlight * traits.grid_steps);
   int index = -1;
   for (int i = 0; i < 4 * scene.num_bodies(); ++i) {
     if (i % 4 > 1 || scene.bodies[i / 4].fixed) continue;
@@ -89,15 +95,15 @@ double FindNoise(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits
   }
   if (index < 0) return kEpsilon;
   const double scale = std::max(std::abs(flight.initial[index]), scene.bodies[index / 4].radius);
-  std::vector<Question> questions = {flight};
+  std::vector<BlackBoxRequest> requests = {flight};
   for (int power = kLargestPower; power <= kSmallestPower; ++power) {
-    questions.push_back(flight);
-    questions.back().initial[index] += std::ldexp(scale, -power);
+    requests.push_back(flight);
+    requests.back().initial[index] += std::ldexp(scale, -power);
   }
-  const std::vector<Answer> answers = box->Ask(scene, questions, stop);
+  const std::vector<BlackBoxAnswer> answers = box->Evaluate(scene, requests, stop);
   const auto moved = [&](std::size_t i) { return answers[i].final[index] - answers[0].final[index]; };
-  const auto displaced = [&](std::size_t i) { return questions[i].initial[index] - flight.initial[index]; };
-  for (const Answer& answer : answers) {
+  const auto displaced = [&](std::size_t i) { return requests[i].initial[index] - flight.initial[index]; };
+  for (const BlackBoxAnswer& answer : answers) {
     if (!answer.error.empty()) return kEpsilon;
   }
   const double slope = moved(1) / displaced(1);
@@ -120,18 +126,18 @@ int BitsOf(double noise) {
 // Asks one question again and again, with others in between (other initial states, no forces). Each is asked alone, so
 // that one copy of a command gets them all. Different answers are a remark. Returns whether they differ by so much that
 // derivatives are not known.
-bool DependsOnThePast(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits,
-                      const RefinementOptions& refinement, const StopRequest& stop, BlackBoxFindings* findings) {
+bool HasMemory(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits, const RefinementOptions& refinement,
+               const StopRequest& stop, BlackBoxFindings* findings) {
   const int steps = std::max(1, scene.steps / traits.grid_steps) * traits.grid_steps;
   const double duration = steps * scene.dt();
-  Question own = OwnMotion(scene, steps);
-  Question reversed = own, displaced = own;
+  BlackBoxRequest own = MakeSceneRequest(scene, steps);
+  BlackBoxRequest reversed = own, displaced = own;
   if (traits.gradient) {  // that of the loss, as some simulators know no other
-    const Answer end = box->Ask(scene, {own}, stop).front();
+    const BlackBoxAnswer end = box->Evaluate(scene, {own}, stop).front();
     if (!end.error.empty()) return false;
-    own.kind = Question::Kind::kGradient;
-    own.of_final.resize(end.final.size());
-    TerminalGradient(scene.objective, end.final, 4, own.of_final);
+    own.kind = BlackBoxRequest::Kind::kGradient;
+    own.final_cotangent.resize(end.final.size());
+    TerminalGradient(scene.objective, end.final, 4, own.final_cotangent);
   }
   for (double& force : reversed.control) force = 0;
   for (int i = 0; i < 4 * scene.num_bodies(); ++i) {
@@ -139,10 +145,10 @@ bool DependsOnThePast(BlackBox* box, const Scene& scene, const BlackBoxTraits& t
     if (i % 4 > 1) reversed.initial[i] *= -1;
     if (i % 4 < 2) displaced.initial[i] += kDisplaced * scene.bodies[i / 4].radius;
   }
-  const Question* const questions[kRepeats] = {&own, &reversed, &own, &displaced, &own};
-  std::vector<Answer> answers;
-  for (const Question* question : questions) {
-    answers.push_back(box->Ask(scene, {*question}, stop).front());
+  const BlackBoxRequest* const requests[kRepeats] = {&own, &reversed, &own, &displaced, &own};
+  std::vector<BlackBoxAnswer> answers;
+  for (const BlackBoxRequest* request : requests) {
+    answers.push_back(box->Evaluate(scene, {*request}, stop).front());
     if (!answers.back().error.empty()) return false;
   }
   double extent = 0, speed = 0, difference = 0, of_gradient = 0;
@@ -152,7 +158,7 @@ bool DependsOnThePast(BlackBox* box, const Scene& scene, const BlackBoxTraits& t
       speed = std::max(speed, std::hypot((*x)[4 * i + 2], (*x)[4 * i + 3]));
     }
   }
-  for (const Answer* again : {&answers[2], &answers[4]}) {
+  for (const BlackBoxAnswer* again : {&answers[2], &answers[4]}) {
     for (std::size_t i = 0; i < again->final.size(); ++i) {
       const double change = std::abs(again->final[i] - answers[0].final[i]);
       difference = std::max(difference, change * (i % 4 < 2 ? 1 : duration));
@@ -189,7 +195,7 @@ double AccelerationIn(const Scene& scene, const Candidate& pair, const std::vect
 }
 
 // Returns the first contact of the exact motion; without one, the first two discs, or a disc and a plane.
-std::optional<HeadOnPair> FirstMeeting(const Scene& scene, const std::optional<ModelGradient>& reference) {
+std::optional<HeadOnPair> FirstCollision(const Scene& scene, const std::optional<ModelGradient>& reference) {
   const auto index_of = [](const auto& all, const std::string& name) {
     const auto found = std::find_if(all.begin(), all.end(), [&](const auto& one) { return one.name == name; });
     return found == all.end() ? -1 : static_cast<int>(found - all.begin());
@@ -215,17 +221,17 @@ std::optional<HeadOnPair> FirstMeeting(const Scene& scene, const std::optional<M
 // Compares losses at increasing numbers of steps with the exact one.
 void StudyMotion(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits, const ModelGradient& exact,
                  int samples, const StopRequest& stop, BlackBoxFindings* findings) {
-  std::vector<Question> questions;
+  std::vector<BlackBoxRequest> requests;
   std::vector<int> steps;
   for (int level = 0; level < kMotionLevels; ++level) {
     for (int sample = 0; sample < samples; ++sample) {
       const int own = (std::max(1, scene.steps / traits.grid_steps) << level) + sample;
       steps.push_back(own * traits.grid_steps);
-      questions.push_back(OwnMotion(scene, steps.back()));
-      questions.back().duration = scene.duration;
+      requests.push_back(MakeSceneRequest(scene, steps.back()));
+      requests.back().duration = scene.duration;
     }
   }
-  const std::vector<Answer> answers = box->Ask(scene, questions, stop);
+  const std::vector<BlackBoxAnswer> answers = box->Evaluate(scene, requests, stop);
   std::vector<double> counts, medians;
   const double floor = std::max(kExactMotion, kMotionNoise * findings->noise);
   double largest = 0;
@@ -235,7 +241,7 @@ void StudyMotion(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits
     for (int i = level * samples; i < (level + 1) * samples; ++i) {
       if (!answers[i].error.empty()) return;
       const double loss = TerminalLoss(scene.objective, answers[i].final, 4) +
-                          EffortLoss(scene.objective, questions[i].control, scene.duration / steps[i]);
+                          EffortLoss(scene.objective, requests[i].control, scene.duration / steps[i]);
       errors.push_back(std::abs(loss - exact.loss) / exact.loss_scale);
       log_steps += std::log(steps[i]) / samples;
     }
@@ -255,7 +261,7 @@ void StudyMotion(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits
   }
 }
 
-AskingOptions AskingWith(const BlackBoxFindings& findings) { return {.noise = findings.noise}; }
+BlackBoxOptions WithNoise(const BlackBoxFindings& findings) { return {.noise = findings.noise}; }
 
 RefinementOptions RefinementOf(const BlackBoxFindings& findings, RefinementOptions options) {
   options.parameters = false;
@@ -266,7 +272,7 @@ RefinementOptions RefinementOf(const BlackBoxFindings& findings, RefinementOptio
   }
   options.levels = std::min(options.levels, kLevels);
   options.most_levels = std::min(options.most_levels, kMostLevels);
-  options.most_intervals = AskingOptions().segments;
+  options.most_intervals = BlackBoxOptions().segments;
   if (findings.noise > kMuchNoise) {
     options.tolerance = std::max(options.tolerance, kNoisyTolerance);
     options.rounding = std::max(options.rounding, kNoisyRounding);
@@ -287,7 +293,7 @@ WidthSweepOptions WidthsOf(const BlackBoxFindings& findings, WidthSweepOptions o
 
 void Remark(const ModelAudit& audit, BlackBoxFindings* findings) {
   std::vector<std::string>& remarks = findings->remarks;
-  const bool agrees = audit.own && audit.own->agreement == Agreement::kAgrees;
+  const bool agrees = audit.gradient_check && audit.gradient_check->agreement == Agreement::kAgrees;
   if (findings->own_gradient && agrees && IsWrong(audit.verdict)) {
     remarks.push_back("agrees with differences, and is wrong: no gradient check finds this");
   }
@@ -316,14 +322,14 @@ void Remark(const ModelAudit& audit, BlackBoxFindings* findings) {
 class AuditPlan {
  public:
   AuditPlan(const AuditTime& time, const CountedBox& box, const std::function<void(const std::string&)>& status)
-      : time_(time), box_(box), status_(status), start_(Now()) {}
+      : time_(time), box_(box), status_(status), start_(Elapsed()) {}
 
-  double Now() const {
+  double Elapsed() const {
     if (time_.clock) return time_.clock();
     return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
   }
   bool limited() const { return time_.seconds > 0; }
-  double Left() const { return time_.seconds - (Now() - start_); }
+  double RemainingTime() const { return time_.seconds - (Elapsed() - start_); }
   // Whether this many more calls fit.
   bool FitsCalls(double calls) const { return static_cast<double>(box_.calls()) + calls <= kMostCalls; }
 
@@ -361,8 +367,8 @@ class AuditPlan {
     while (refinement->most_levels > kLeastLevels && !fits(refinement->most_levels)) --refinement->most_levels;
     refinement->levels = std::min(refinement->levels, refinement->most_levels);
   }
-  bool Fits(double seconds) const { return !limited() || seconds <= Left(); }
-  void Say(const std::string& what, double seconds) const {
+  bool Fits(double seconds) const { return !limited() || seconds <= RemainingTime(); }
+  void ReportStatus(const std::string& what, double seconds) const {
     if (status_) status_(what + FormatNumbers(", about %.2g s", seconds));
   }
 
@@ -379,7 +385,7 @@ class AuditPlan {
 int NumRollouts(const Scene& scene, bool own_gradient) {
   if (own_gradient) return 3;  // a rollout, and a gradient, which takes about two
   const auto moving = std::count_if(scene.bodies.begin(), scene.bodies.end(), [](const Body& b) { return !b.fixed; });
-  return 1 + 2 * (4 * static_cast<int>(moving) + AskingOptions().segments * scene.control_width());
+  return 1 + 2 * (4 * static_cast<int>(moving) + BlackBoxOptions().segments * scene.control_width());
 }
 
 // Returns the number of single rollouts that differences of every width take.
@@ -392,7 +398,7 @@ double NumRolloutsOfWidths(const Scene& scene, const WidthSweepOptions& options)
 
 // Returns the gradient with the control averaged over the segments that differences have.
 ModelGradient AveragedOverSegments(ModelGradient gradient, const BlackBoxFindings& findings) {
-  const int segments = AskingOptions().segments;
+  const int segments = BlackBoxOptions().segments;
   if (findings.own_gradient || gradient.num_steps % segments != 0) return gradient;
   gradient.gradient.control = CoarsenControl(gradient.gradient.control, gradient.num_steps, segments);
   gradient.num_steps = segments;
@@ -404,12 +410,12 @@ ModelGradient AveragedOverSegments(ModelGradient gradient, const BlackBoxFinding
 std::vector<std::string> ParametersGiven(BlackBox* box, const Scene& scene, const BlackBoxTraits& traits,
                                          const StopRequest& stop) {
   const int steps = std::max(1, scene.steps / traits.grid_steps) * traits.grid_steps;
-  Question question = OwnMotion(scene, steps);
-  question.kind = Question::Kind::kGradient;
-  question.of_final.assign(4 * scene.num_bodies(), 0.0);
-  question.parameters = true;
+  BlackBoxRequest request = MakeSceneRequest(scene, steps);
+  request.kind = BlackBoxRequest::Kind::kGradient;
+  request.final_cotangent.assign(4 * scene.num_bodies(), 0.0);
+  request.parameters = true;
   std::vector<std::string> names;
-  const Answer answer = box->Ask(scene, {question}, stop).front();
+  const BlackBoxAnswer answer = box->Evaluate(scene, {request}, stop).front();
   for (const auto& [name, value] : answer.parameters) names.push_back(name);
   return names;
 }
@@ -428,10 +434,10 @@ const char* MotionToString(Motion motion) {
   return kNames[static_cast<int>(motion)];
 }
 
-Contact MeasuredContactOf(const std::shared_ptr<BlackBox>& box, const Scene& scene, const StopRequest& stop) {
+Contact MakeMeasuredContact(const std::shared_ptr<BlackBox>& box, const Scene& scene, const StopRequest& stop) {
   const BlackBoxTraits traits = TraitsFor(box.get(), scene);
   const bool asked = traits.error.empty() && traits.not_applicable.empty();
-  return ContactOf(box, traits, {.noise = asked ? FindNoise(box.get(), scene, traits, stop) : 0.0});
+  return MakeBlackBoxContact(box, traits, {.noise = asked ? FindNoise(box.get(), scene, traits, stop) : 0.0});
 }
 
 ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& given, const Scene& scene,
@@ -443,7 +449,7 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& given, const Scene& sc
   audit.gradient.contact = box->name();
   BlackBoxFindings& findings = audit.black_box.emplace();
   const BlackBoxTraits traits = TraitsFor(box.get(), scene);
-  findings.says = traits.name;
+  findings.reported_name = traits.name;
   findings.own_gradient = traits.gradient;
   findings.refused = traits.error.empty() && !traits.not_applicable.empty();
   const auto interrupted = [&] { return audit.interrupted = stop && stop(); };
@@ -457,19 +463,19 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& given, const Scene& sc
     findings.noise = FindNoise(box.get(), scene, traits, stop);
     findings.precision_found = BitsOf(findings.noise);
   }
-  const Contact contact = ContactOf(box, traits, AskingWith(findings));
+  const Contact contact = MakeBlackBoxContact(box, traits, WithNoise(findings));
   AuditPlan plan(time, *box, options.status);
-  const double begin = plan.Now();
+  const double begin = plan.Elapsed();
   audit.gradient = ComputeGradient(contact, scene, Precision::kDouble, stop);
   if (HasFailed(box.get(), scene, &audit) || !audit.gradient.ok()) {
     if (interrupted()) audit.gradient.reason = kStopped;
     return audit;
   }
-  const double asked = plan.Now();
+  const double asked = plan.Elapsed();
   plan.SetCost(asked - begin, NumRollouts(scene, traits.gradient));
   RefinementOptions refinement_options = RefinementOf(findings, options.refinement);
-  const bool depends = DependsOnThePast(box.get(), scene, traits, refinement_options, stop, &findings);
-  plan.SetSingleCost((plan.Now() - asked) / kRepeats);
+  const bool depends = HasMemory(box.get(), scene, traits, refinement_options, stop, &findings);
+  plan.SetSingleCost((plan.Elapsed() - asked) / kRepeats);
   if (interrupted()) return audit;
   if (reference && !reference->ambiguous.empty()) {
     audit.verdict = Verdict::kAmbiguous;
@@ -488,7 +494,7 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& given, const Scene& sc
     findings.remarks.insert(findings.remarks.begin(), too_long("the shortest study that gives a verdict", of_verdict));
     return audit;
   }
-  if (const std::optional<HeadOnPair> meeting = FirstMeeting(scene, reference)) {
+  if (const std::optional<HeadOnPair> meeting = FirstCollision(scene, reference)) {
     const HeadOnImpact impact(box, scene, *meeting, findings.noise, stop);
     ContactRecognition recognition;
     recognition.words = impact.reason();
@@ -496,7 +502,7 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& given, const Scene& sc
       for (const auto& [found, finer] : {std::pair(&findings.head_on, 1), std::pair(&findings.finer, kFiner)}) {
         const double seconds = plan.TimeOfRollouts(finer * kHeadOnRollouts);
         if (!plan.Fits(of_verdict + seconds)) continue;
-        plan.Say("head-on impact", seconds);
+        plan.ReportStatus("head-on impact", seconds);
         *found = impact.Measure(finer);
       }
       if (impact.IgnoresForce()) {
@@ -506,7 +512,7 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& given, const Scene& sc
     }
     if (!keep(std::move(recognition), &audit.recognition)) return audit;
   }
-  if (traits.gradient && !keep(CompareWithOwnDifferences(contact, scene, stop, 1, kSpeeds), &audit.own)) return audit;
+  if (traits.gradient && !keep(CheckGradient(contact, scene, stop, 1, kSpeeds), &audit.gradient_check)) return audit;
   if (reference) {
     audit.error = CompareGradients(AveragedOverSegments(audit.gradient, findings), *reference);
     plan.Fit(&refinement_options);
@@ -518,18 +524,19 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& given, const Scene& sc
           NumRollouts(scene, traits.gradient),
           refinement_options.levels * refinement_options.samples));
     }
-    plan.Say("motion", plan.TimeOfMotionStudy(refinement_options.samples));
+    plan.ReportStatus("motion", plan.TimeOfMotionStudy(refinement_options.samples));
     StudyMotion(box.get(), scene, traits, *reference, refinement_options.samples, stop, &findings);
-    plan.Say("refinement", plan.TimeOfRefinement(refinement_options.levels, refinement_options.samples));
+    plan.ReportStatus("refinement", plan.TimeOfRefinement(refinement_options.levels, refinement_options.samples));
     if (!keep(StudyRefinement(contact, scene, refinement_options, stop), &audit.refinement)) return audit;
     audit.verdict = audit.refinement->verdict;
     if (options.attribution && traits.step && IsWrong(audit.verdict) && plan.Fits(0)) {
-      AskingOptions touching = AskingWith(findings);
+      BlackBoxOptions touching = WithNoise(findings);
       touching.touches = true;
       double seconds = options.attribution_seconds;
-      if (plan.limited()) seconds = seconds > 0 ? std::min(seconds, plan.Left()) : plan.Left();
+      if (plan.limited()) seconds = seconds > 0 ? std::min(seconds, plan.RemainingTime()) : plan.RemainingTime();
       const AttributionOptions attribution{stop, seconds, options.status};
-      if (!keep(AttributeError(ContactOf(box, traits, touching), scene, attribution), &audit.attribution)) return audit;
+      if (!keep(AttributeError(MakeBlackBoxContact(box, traits, touching), scene, attribution), &audit.attribution))
+        return audit;
     }
   }
   if (options.width_sweep || !reference || !traits.gradient) {
@@ -544,7 +551,7 @@ ModelAudit AuditBlackBox(const std::shared_ptr<BlackBox>& given, const Scene& sc
                         NumRolloutsOfWidths(scene, widths),
                         kMostCalls));
     } else {
-      plan.Say("differences of every width", of_widths);
+      plan.ReportStatus("differences of every width", of_widths);
       if (!keep(SweepWidths(contact, scene, widths, stop), &audit.widths)) return audit;
       if (reference) CompareWithExact(scene, *reference, &*audit.widths);
       if (!reference) audit.verdict = audit.widths->verdict;

@@ -61,14 +61,14 @@ HeadOnImpact::HeadOnImpact(std::shared_ptr<BlackBox> box, const Scene& scene, co
   num_steps_ = std::max(kSteps, scene.steps / 2) / traits_.grid_steps * traits_.grid_steps;
 }
 
-Question HeadOnImpact::Ask(const Start& start, int steps, double h) const {
+BlackBoxRequest HeadOnImpact::MakeRequest(const Start& start, int steps, double h) const {
   const Vec2d position = -(reach_ + start.gap) * towards_, velocity = start.speed * towards_;
   const Vec2d force = scene_.bodies[0].mass * start.acceleration * towards_;
-  Question question{Question::Kind::kSimulate, steps * traits_.grid_steps, steps * h, {}, {}, {}};
-  question.initial = {position[0], position[1], velocity[0], velocity[1]};
-  if (scene_.num_bodies() > 1) question.initial.insert(question.initial.end(), 4, 0.0);
-  for (int k = 0; k < question.steps; ++k) question.control.insert(question.control.end(), {force[0], force[1]});
-  return question;
+  BlackBoxRequest request{BlackBoxRequest::Kind::kSimulate, steps * traits_.grid_steps, steps * h, {}, {}, {}};
+  request.initial = {position[0], position[1], velocity[0], velocity[1]};
+  if (scene_.num_bodies() > 1) request.initial.insert(request.initial.end(), 4, 0.0);
+  for (int k = 0; k < request.steps; ++k) request.control.insert(request.control.end(), {force[0], force[1]});
+  return request;
 }
 
 HeadOnImpact::Motion HeadOnImpact::MotionIn(std::span<const double> state) const {
@@ -81,27 +81,28 @@ HeadOnImpact::Motion HeadOnImpact::MotionIn(std::span<const double> state) const
   return motion;
 }
 
-std::vector<Answer> HeadOnImpact::AnswersTo(const std::vector<Question>& questions) const {
-  std::vector<Answer> answers = box_->Ask(scene_, questions, stop_);
-  const bool all = std::all_of(answers.begin(), answers.end(), [](const Answer& one) { return one.error.empty(); });
-  return all ? std::move(answers) : std::vector<Answer>{};
+std::vector<BlackBoxAnswer> HeadOnImpact::RequestAnswers(const std::vector<BlackBoxRequest>& requests) const {
+  std::vector<BlackBoxAnswer> answers = box_->Evaluate(scene_, requests, stop_);
+  const bool all =
+      std::all_of(answers.begin(), answers.end(), [](const BlackBoxAnswer& one) { return one.error.empty(); });
+  return all ? std::move(answers) : std::vector<BlackBoxAnswer>{};
 }
 
 std::vector<HeadOnImpact::Motion> HeadOnImpact::Motions(const Start& start, double h, int first, int count) const {
   std::vector<Motion> motions;
   if (traits_.states) {
-    Question question = Ask(start, first + count - 1, h);
-    question.states = true;
-    const std::vector<Answer> answers = AnswersTo({question});
+    BlackBoxRequest request = MakeRequest(start, first + count - 1, h);
+    request.states = true;
+    const std::vector<BlackBoxAnswer> answers = RequestAnswers({request});
     const std::size_t size = 4 * scene_.bodies.size();
     for (int k = first; !answers.empty() && k < first + count; ++k) {
       motions.push_back(MotionIn(std::span(answers[0].states).subspan(k * size, size)));
     }
     return motions;
   }
-  std::vector<Question> questions;
-  for (int k = first; k < first + count; ++k) questions.push_back(Ask(start, k, h));
-  for (const Answer& answer : AnswersTo(questions)) motions.push_back(MotionIn(answer.final));
+  std::vector<BlackBoxRequest> requests;
+  for (int k = first; k < first + count; ++k) requests.push_back(MakeRequest(start, k, h));
+  for (const BlackBoxAnswer& answer : RequestAnswers(requests)) motions.push_back(MotionIn(answer.final));
   return motions;
 }
 
@@ -130,28 +131,30 @@ ContactRun HeadOnImpact::Run(double h, std::span<const double> from, bool onset_
 
 std::vector<HeadOnImpact::Motion> HeadOnImpact::Slopes(const std::vector<Start>& starts, int steps, double h) const {
   const double displacement = (noise_ > kMuchNoise ? kLarger : kSmall) * speed_ * h;
-  std::vector<Question> questions;
+  std::vector<BlackBoxRequest> requests;
   for (const Start& start : starts) {
     for (const int sign : {1, -1}) {
       Start displaced = start;
       if (!traits_.gradient) displaced.gap -= sign * displacement;
-      Question& question = questions.emplace_back(Ask(displaced, steps, h));
+      BlackBoxRequest& request = requests.emplace_back(MakeRequest(displaced, steps, h));
       if (!traits_.gradient) continue;
       // Derivatives of the relative position, and of the velocity, by the first disc's.
-      question.kind = Question::Kind::kGradient;
-      question.of_final.assign(question.initial.size(), 0.0);
+      request.kind = BlackBoxRequest::Kind::kGradient;
+      request.final_cotangent.assign(request.initial.size(), 0.0);
       for (int i = 0; i < scene_.num_bodies(); ++i) {
         for (int j = 0; j < 2; ++j) {
-          question.of_final[4 * i + j + (sign == 1 ? 0 : 2)] = (i == 0 ? 1 : -1) * towards_[j];
+          request.final_cotangent[4 * i + j + (sign == 1 ? 0 : 2)] = (i == 0 ? 1 : -1) * towards_[j];
         }
       }
     }
   }
-  const std::vector<Answer> answers = AnswersTo(questions);
+  const std::vector<BlackBoxAnswer> answers = RequestAnswers(requests);
   std::vector<Motion> slopes;
   for (std::size_t i = 0; i + 1 < answers.size(); i += 2) {
     if (traits_.gradient) {
-      const auto along = [&](const Answer& one) { return towards_[0] * one.initial[0] + towards_[1] * one.initial[1]; };
+      const auto along = [&](const BlackBoxAnswer& one) {
+        return towards_[0] * one.initial[0] + towards_[1] * one.initial[1];
+      };
       slopes.push_back({along(answers[i]), along(answers[i + 1])});
     } else {
       const Motion above = MotionIn(answers[i].final), below = MotionIn(answers[i + 1].final);
@@ -182,21 +185,21 @@ std::optional<BlackBoxFindings::HeadOn> HeadOnImpact::Measure(int finer) const {
   const int steps = num_steps_ / traits_.grid_steps * finer;
   const double h = step() / finer, T = steps * h;
   std::vector<Start> starts;
-  std::vector<double> rebounds, keeps, feeds;
-  std::vector<Question> questions;
+  std::vector<double> rebounds, retentions, feedbacks;
+  std::vector<BlackBoxRequest> requests;
   for (int i = 0; i < kPhases; ++i) {
     starts.push_back({speed_ * (T / 2 + (i + 0.5) / kPhases * h), speed_, /*acceleration=*/0});
-    questions.push_back(Ask(starts.back(), steps, h));
+    requests.push_back(MakeRequest(starts.back(), steps, h));
   }
-  const std::vector<Answer> answers = AnswersTo(questions);
+  const std::vector<BlackBoxAnswer> answers = RequestAnswers(requests);
   const std::vector<Motion> slopes = Slopes(starts, steps, h);
   if (answers.empty() || slopes.empty()) return std::nullopt;
   for (int i = 0; i < kPhases; ++i) {
     rebounds.push_back(-MotionIn(answers[i].final).velocity / speed_);
-    keeps.push_back(slopes[i].position - slopes[i].velocity * (T - starts[i].gap / speed_));
-    feeds.push_back(h * slopes[i].velocity);
+    retentions.push_back(slopes[i].position - slopes[i].velocity * (T - starts[i].gap / speed_));
+    feedbacks.push_back(h * slopes[i].velocity);
   }
-  return BlackBoxFindings::HeadOn{steps * traits_.grid_steps, Median(rebounds), Median(keeps), Median(feeds)};
+  return BlackBoxFindings::HeadOn{steps * traits_.grid_steps, Median(rebounds), Median(retentions), Median(feedbacks)};
 }
 
 }  // namespace saltus

@@ -20,12 +20,12 @@ constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 // noise by a factor that the budget of errors gives.
 constexpr double kNarrow = 1e-3, kWidest = 0.25, kAboveNoise = 300, kMuchNoise = 1e-11;
 
-using Kind = Question::Kind;
+using Kind = BlackBoxRequest::Kind;
 
 constexpr double kFelt = 1e3;  // noises by which a velocity must change to be a contact's doing
 constexpr double kLeastFelt = 1e-9;
 
-std::string WhyNot(BlackBox* box, const Scene& scene, int grid_steps) {
+std::string UnsupportedByBlackBox(BlackBox* box, const Scene& scene, int grid_steps) {
   const BlackBoxTraits traits = TraitsFor(box, scene);
   if (!traits.error.empty()) return traits.error;
   if (!traits.not_applicable.empty()) return traits.not_applicable;
@@ -39,7 +39,7 @@ double WidthOfDifferences(double noise, double extent, double moved) {
   return moved * std::clamp(kAboveNoise * std::max(noise, kRounding) * extent / moved, kNarrow, kWidest);
 }
 
-Question BlackBoxSimulator::Ask(Kind kind, int steps) const {
+BlackBoxRequest BlackBoxSimulator::MakeRequest(Kind kind, int steps) const {
   const std::size_t width = control_width(), all = steps * model_.grid_steps;
   return {kind,
           steps * model_.grid_steps,
@@ -66,7 +66,7 @@ bool BlackBoxSimulator::Rollout(std::span<const double> initial, std::span<const
       control_.insert(control_.end(), control.begin() + i, control.begin() + i + width);
     }
   }
-  Answer answer = AnswersTo({Ask(Kind::kSimulate, num_steps_)}).front();
+  BlackBoxAnswer answer = RequestAnswers({MakeRequest(Kind::kSimulate, num_steps_)}).front();
   if (!answer.error.empty()) return Fail(answer.error);
   states_.assign(num_steps_ + 1, {});
   states_.front() = initial_;
@@ -88,9 +88,9 @@ const std::vector<double>& BlackBoxSimulator::StateAt(int k) const {
   if (!states_[k].empty()) return states_[k];
   const std::vector<double> unknown(state_size(), kNan);
   if (traits_.states) {
-    Question all = Ask(Kind::kSimulate, num_steps_);
+    BlackBoxRequest all = MakeRequest(Kind::kSimulate, num_steps_);
     all.states = true;
-    const Answer answer = AnswersTo({all}).front();
+    const BlackBoxAnswer answer = RequestAnswers({all}).front();
     const std::size_t size = state_size();
     for (int i = 1; i < num_steps_; ++i) {
       const auto at = answer.states.begin() + static_cast<std::ptrdiff_t>(i * size);
@@ -105,7 +105,7 @@ const std::vector<double>& BlackBoxSimulator::StateAt(int k) const {
     }
     return states_[k];
   }
-  const Answer answer = AnswersTo({Ask(Kind::kSimulate, k)}).front();
+  const BlackBoxAnswer answer = RequestAnswers({MakeRequest(Kind::kSimulate, k)}).front();
   return states_[k] = answer.error.empty() ? answer.final : unknown;
 }
 
@@ -135,12 +135,12 @@ void BlackBoxSimulator::AdjointInto(std::span<const double> cotangent, const Sen
 }
 
 bool BlackBoxSimulator::AdjointByItself(std::span<const double> cotangent, const SensitivityView& out) {
-  Question question = Ask(Kind::kGradient, num_steps_);
-  question.of_final.assign(cotangent.begin(), cotangent.end());
-  question.parameters = out.parameters != nullptr && !scene_.design.empty();
-  const Answer answer = AnswersTo({question}).front();
+  BlackBoxRequest request = MakeRequest(Kind::kGradient, num_steps_);
+  request.final_cotangent.assign(cotangent.begin(), cotangent.end());
+  request.parameters = out.parameters != nullptr && !scene_.design.empty();
+  const BlackBoxAnswer answer = RequestAnswers({request}).front();
   if (!answer.error.empty()) return false;
-  for (std::size_t i = 0; question.parameters && i < scene_.design.size(); ++i) {
+  for (std::size_t i = 0; request.parameters && i < scene_.design.size(); ++i) {
     const std::string name = NameOf(scene_.design[i].parameter, scene_);
     const auto given = std::ranges::find(answer.parameters, name, [](const auto& one) { return one.first; });
     if (given == answer.parameters.end()) return false;
@@ -198,26 +198,26 @@ std::vector<BlackBoxSimulator::Variable> BlackBoxSimulator::Variables(bool with_
 void BlackBoxSimulator::AdjointByDifferences(std::span<const double> cotangent, const SensitivityView& out) {
   const std::vector<Variable> variables = Variables(!out.control.empty());
   const std::size_t pushed = control_width();
-  std::vector<Question> questions;
+  std::vector<BlackBoxRequest> requests;
   for (const Variable& variable : variables) {
     for (const double width : {variable.width, -variable.width}) {
-      Question& question = questions.emplace_back(Ask(Kind::kSimulate, num_steps_));
-      if (!variable.control) question.initial[variable.index] += width;
-      for (int k = variable.begin; k < variable.end; ++k) question.control[k * pushed + variable.index] += width;
+      BlackBoxRequest& request = requests.emplace_back(MakeRequest(Kind::kSimulate, num_steps_));
+      if (!variable.control) request.initial[variable.index] += width;
+      for (int k = variable.begin; k < variable.end; ++k) request.control[k * pushed + variable.index] += width;
     }
   }
-  const std::vector<Answer> answers = AnswersTo(questions);
+  const std::vector<BlackBoxAnswer> answers = RequestAnswers(requests);
   for (std::size_t v = 0; v < variables.size(); ++v) {
     const Variable& variable = variables[v];
-    const Answer &above = answers[2 * v], &below = answers[2 * v + 1];
+    const BlackBoxAnswer &above = answers[2 * v], &below = answers[2 * v + 1];
     double slope = kNan;
     if (above.error.empty() && below.error.empty()) {
       slope = 0;
       for (std::size_t i = 0; i < cotangent.size(); ++i) slope += cotangent[i] * (above.final[i] - below.final[i]);
       // Rounding makes the actual difference of the two initial states differ from the width.
-      const double width =
-          variable.control ? 2 * variable.width
-                           : questions[2 * v].initial[variable.index] - questions[2 * v + 1].initial[variable.index];
+      const double width = variable.control
+                               ? 2 * variable.width
+                               : requests[2 * v].initial[variable.index] - requests[2 * v + 1].initial[variable.index];
       slope /= width;
     }
     if (!variable.control) out.initial[variable.index] += slope;
@@ -229,7 +229,7 @@ void BlackBoxSimulator::AdjointByDifferences(std::span<const double> cotangent, 
 
 BlackBoxTraits TraitsFor(BlackBox* box, const Scene& scene) {
   BlackBoxTraits traits = box->Describe(scene);
-  if (const std::string beyond = BeyondPlainDiscs(scene); !beyond.empty()) {
+  if (const std::string beyond = NonBallisticFeatures(scene); !beyond.empty()) {
     traits.not_applicable = "the scene has " + beyond + "; black boxes are audited with discs and planes";
   } else if (!scene.materials.empty()) {
     traits.not_applicable = "the scene has materials; black boxes are told one restitution and one friction";
@@ -237,15 +237,16 @@ BlackBoxTraits TraitsFor(BlackBox* box, const Scene& scene) {
   return traits;
 }
 
-Contact ContactOf(std::shared_ptr<BlackBox> box, const BlackBoxTraits& traits, const AskingOptions& options) {
+Contact MakeBlackBoxContact(std::shared_ptr<BlackBox> box, const BlackBoxTraits& traits,
+                            const BlackBoxOptions& options) {
   CHECK_EQ(box->name().find(':'), std::string::npos) << box->name();
   auto entry = std::make_shared<ContactEntry>();
   entry->traits.name = box->name();  // which the functions below keep
   entry->traits.summary = "a black box";
   entry->traits.grid_steps = traits.grid_steps;
   entry->traits.rebound = Rebound::kEmergent;
-  entry->why_not_applicable = [box, steps = traits.grid_steps](const Scene& scene) {
-    return WhyNot(box.get(), scene, steps);
+  entry->reason_not_applicable = [box, steps = traits.grid_steps](const Scene& scene) {
+    return UnsupportedByBlackBox(box.get(), scene, steps);
   };
   entry->make = [box, traits, options, model = entry->traits](
                     const Scene& scene, Precision precision, std::span<const OptionValue>) {
@@ -254,13 +255,14 @@ Contact ContactOf(std::shared_ptr<BlackBox> box, const BlackBoxTraits& traits, c
   return Contact(std::move(entry));
 }
 
-Question BlackBoxSimulator::StepFrom(std::span<const double> x, std::span<const double> force) const {
-  return {Question::Kind::kStep, model_.grid_steps, step(), {x.begin(), x.end()}, {force.begin(), force.end()}, {}};
+BlackBoxRequest BlackBoxSimulator::StepFrom(std::span<const double> x, std::span<const double> force) const {
+  return {
+      BlackBoxRequest::Kind::kStep, model_.grid_steps, step(), {x.begin(), x.end()}, {force.begin(), force.end()}, {}};
 }
 
 void BlackBoxSimulator::Step(std::span<const double> x, std::span<const double> force, std::span<double> next,
                              std::vector<Touch>* touches) const {
-  const Answer answer = AnswersTo({StepFrom(x, force)}).front();
+  const BlackBoxAnswer answer = RequestAnswers({StepFrom(x, force)}).front();
   if (!answer.error.empty()) {
     std::fill(next.begin(), next.end(), kNan);
     return;
@@ -380,7 +382,7 @@ StepLinearization::Island BlackBoxSimulator::LinearizeIsland(std::span<const dou
   double extent = 0;
   for (const double number : x) extent = std::max(extent, std::abs(number));
   const double width = Width(std::max(LargestSpeed(x), kLeastFelt * extent / step()), extent);
-  std::vector<Question> questions;
+  std::vector<BlackBoxRequest> requests;
   std::vector<double> widths;
   for (int c = 0; c < columns; ++c) {
     const bool state = c < states;
@@ -390,15 +392,15 @@ StepLinearization::Island BlackBoxSimulator::LinearizeIsland(std::span<const dou
                                          : width / step();
     widths.push_back(by);
     for (const double w : {by, -by}) {
-      Question& question = questions.emplace_back(StepFrom(x, force));
-      if (state) question.initial[kNumbers * body + c % kNumbers] += w;
-      if (!state) question.control[2 * body + (c - states) % 2] += w;
+      BlackBoxRequest& request = requests.emplace_back(StepFrom(x, force));
+      if (state) request.initial[kNumbers * body + c % kNumbers] += w;
+      if (!state) request.control[2 * body + (c - states) % 2] += w;
     }
   }
-  const std::vector<Answer> answers = AnswersTo(questions);
+  const std::vector<BlackBoxAnswer> answers = RequestAnswers(requests);
   StepLinearization::Island island{bodies, Eigen::MatrixXd(states, states), Eigen::MatrixXd(states, 2 * n), {}};
   for (int c = 0; c < columns; ++c) {
-    const Answer &above = answers[2 * c], &below = answers[2 * c + 1];
+    const BlackBoxAnswer &above = answers[2 * c], &below = answers[2 * c + 1];
     for (int r = 0; r < states; ++r) {
       const int at = kNumbers * bodies[r / kNumbers] + r % kNumbers;
       const bool known = above.error.empty() && below.error.empty();
@@ -418,16 +420,16 @@ StepLinearization::FreeFlight BlackBoxSimulator::MeasureFreeFlight() const {
   const int body = static_cast<int>(moving - scene_.bodies.begin());
   const std::vector<double> none(2 * num_bodies(), 0.0);
   const double small = moving->radius / 64;  // by which it moves, along x
-  std::vector<Question> questions(4, StepFrom(x, none));
-  questions[1].initial[kNumbers * body] += small;
-  questions[2].initial[kNumbers * body + 2] += small / step();
-  questions[3].control[2 * body] += small * moving->mass / (step() * step());
-  const std::vector<Answer> answers = AnswersTo(questions);
-  if (!std::all_of(answers.begin(), answers.end(), [](const Answer& answer) { return answer.error.empty(); })) {
+  std::vector<BlackBoxRequest> requests(4, StepFrom(x, none));
+  requests[1].initial[kNumbers * body] += small;
+  requests[2].initial[kNumbers * body + 2] += small / step();
+  requests[3].control[2 * body] += small * moving->mass / (step() * step());
+  const std::vector<BlackBoxAnswer> answers = RequestAnswers(requests);
+  if (!std::all_of(answers.begin(), answers.end(), [](const BlackBoxAnswer& answer) { return answer.error.empty(); })) {
     return {1, step(), 0, 0, 1, step()};
   }
-  const auto by = [&](int question, int entry, double change) {
-    return (answers[question].final[kNumbers * body + entry] - answers[0].final[kNumbers * body + entry]) / change;
+  const auto by = [&](int request, int entry, double change) {
+    return (answers[request].final[kNumbers * body + entry] - answers[0].final[kNumbers * body + entry]) / change;
   };
   const double acceleration = small / (step() * step());
   return {by(1, 0, small),

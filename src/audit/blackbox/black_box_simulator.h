@@ -21,7 +21,7 @@ class BlackBoxSimulator final : public Simulator {
   static constexpr int kNumbers = 4;  // of a disc
 
   BlackBoxSimulator(std::shared_ptr<BlackBox> box, const Scene& scene, Precision precision, const ModelTraits& model,
-                    const BlackBoxTraits& traits, const AskingOptions& options)
+                    const BlackBoxTraits& traits, const BlackBoxOptions& options)
       : Simulator(scene, precision, model.grid_steps),
         box_(std::move(box)),
         model_(model),
@@ -31,7 +31,7 @@ class BlackBoxSimulator final : public Simulator {
   const ModelTraits& traits() const override { return model_; }
   int body_size() const override { return kNumbers; }
   std::size_t LeastMemory() const override { return 0; }
-  std::optional<FlightOver> FreeFlightOver(double) const override { return std::nullopt; }
+  std::optional<VariableFreeFlight> FreeFlightOfLength(double) const override { return std::nullopt; }
   const std::vector<StepTouch>& touches() const override { return touches_; }
 
   bool Rollout(std::span<const double> initial, std::span<const double> control) override;
@@ -52,9 +52,9 @@ class BlackBoxSimulator final : public Simulator {
     double width;
   };
 
-  Question Ask(Question::Kind kind, int steps) const;
-  std::vector<Answer> AnswersTo(const std::vector<Question>& questions) const {
-    return box_->Ask(scene_, questions, stop_);
+  BlackBoxRequest MakeRequest(BlackBoxRequest::Kind kind, int steps) const;
+  std::vector<BlackBoxAnswer> RequestAnswers(const std::vector<BlackBoxRequest>& requests) const {
+    return box_->Evaluate(scene_, requests, stop_);
   }
   bool Fail(const std::string& why);
   // Returns the forces on all discs in step k of the simulator.
@@ -68,7 +68,7 @@ class BlackBoxSimulator final : public Simulator {
   double Width(double speed, double extent) const { return WidthOfDifferences(options_.noise, extent, speed * step()); }
   double LargestSpeed(std::span<const double> x) const;
 
-  Question StepFrom(std::span<const double> x, std::span<const double> force) const;
+  BlackBoxRequest StepFrom(std::span<const double> x, std::span<const double> force) const;
   std::vector<Touch> TouchesIn(std::span<const double> x, std::span<const double> force,
                                std::span<const double> next) const;
   std::vector<std::vector<int>> IslandsOf(const std::vector<Touch>& touches) const;
@@ -79,7 +79,7 @@ class BlackBoxSimulator final : public Simulator {
   std::shared_ptr<BlackBox> box_;
   ModelTraits model_;
   BlackBoxTraits traits_;
-  AskingOptions options_;
+  BlackBoxOptions options_;
   std::string why_failed_;
   std::vector<double> initial_, control_;            // of the last rollout; the control by steps of the grid
   mutable std::vector<std::vector<double>> states_;  // empty where not known
@@ -144,11 +144,11 @@ class HeadOnImpact final : public ContactBench {
   struct Start {
     double gap, speed, acceleration;
   };
-  Question Ask(const Start& start, int steps, double h) const;
+  BlackBoxRequest MakeRequest(const Start& start, int steps, double h) const;
   Motion MotionIn(std::span<const double> state) const;
   // Returns d(motion) / d(displacement) of these runs; empty if an answer is missing.
   std::vector<Motion> Slopes(const std::vector<Start>& starts, int steps, double h) const;
-  std::vector<Answer> AnswersTo(const std::vector<Question>& questions) const;
+  std::vector<BlackBoxAnswer> RequestAnswers(const std::vector<BlackBoxRequest>& requests) const;
   // Returns the motion after steps first, first + 1, ...; empty if an answer is missing.
   std::vector<Motion> Motions(const Start& start, double h, int first, int count) const;
 

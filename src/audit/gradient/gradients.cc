@@ -13,8 +13,8 @@ namespace saltus {
 namespace {
 
 // Returns the reason why there is no gradient. Bounds and pairs that must not touch do not change the loss.
-std::string WhyNotGradient(const Scene& scene) {
-  const std::string found = BeyondTerminalLoss(scene.objective);
+std::string UnsupportedByGradient(const Scene& scene) {
+  const std::string found = NonTerminalTerms(scene.objective);
   return found.empty() ? ""
                        : "the scene has " + found +
                              ", of which there is no gradient by shooting: take that of its hybrid problem "
@@ -36,12 +36,12 @@ void FillIn(const Contact& contact, const Scene& scene, Precision precision, con
     return;
   }
   if (!shooting.EvaluateAll(variables, &result->loss, &result->gradient)) {
-    const std::string why = shooting.simulator().WhyFailed();
+    const std::string why = shooting.simulator().FailureReason();
     result->reason = why.empty() ? "the loss is not finite" : "the rollout fails: " + why;
     if (shooting.stopped()) result->reason = kStopped;
     return;
   }
-  if (const std::string why = shooting.WhyFailed(); !why.empty()) {
+  if (const std::string why = shooting.FailureReason(); !why.empty()) {
     result->reason = "the gradient is not finite: " + why;
     return;
   }
@@ -118,11 +118,11 @@ ModelGradient ComputeGradient(const Contact& contact, const Scene& scene, Precis
   ModelGradient result;
   result.contact = contact.name();
   SetScales(scene, &result);
-  result.reason = WhyNotApplicable(contact, scene);
-  if (result.ok()) result.reason = WhyNotGradient(scene);
+  result.reason = ReasonNotApplicable(contact, scene);
+  if (result.ok()) result.reason = UnsupportedByGradient(scene);
   if (result.ok()) FillIn(contact, scene, precision, stop, &result, control);
   if (result.ok() && CHECK_NOTNULL(FindContactModel(contact))->event_driven) {
-    result.one_sided = OneSidedDerivatives(InNaturalUnits(scene));
+    result.one_sided = OneSidedDerivatives(ToNaturalUnits(scene));
   }
   return result;
 }
@@ -133,12 +133,12 @@ ModelGradient ComputeSurrogate(const Contact& contact, const Scene& scene, Preci
   result.contact = contact.name();
   SetScales(scene, &result);
   result.surrogate = surrogate;
-  result.reason = WhyNotValid(surrogate);
-  if (result.ok()) result.reason = WhyNotApplicable(contact, scene);
-  if (result.ok()) result.reason = WhyNotGradient(scene);
-  if (result.ok()) result.reason = WhyNotApplicable(surrogate, contact, scene);
+  result.reason = Validate(surrogate);
+  if (result.ok()) result.reason = ReasonNotApplicable(contact, scene);
+  if (result.ok()) result.reason = UnsupportedByGradient(scene);
+  if (result.ok()) result.reason = ReasonNotApplicable(surrogate, contact, scene);
   if (!result.ok()) return result;
-  FillIn(ContactWith(surrogate, contact), scene, precision, stop, &result);
+  FillIn(ApplySurrogate(surrogate, contact), scene, precision, stop, &result);
   if (!result.ok() || !surrogate.smooths()) return result;
   if (!Smooth(scene, precision, threads, stop, &result)) {
     result.reason = stop && stop() ? kStopped : "the rollout of a sample is not finite";

@@ -37,7 +37,7 @@ class SchemeShooting final : public HybridShooting {
     for (int mode = 0; mode < system.num_modes(); ++mode) most_ = std::max(most_, system.state_size(mode));
   }
 
-  std::string WhyFailed() const override { return stopped() ? kStopped : HybridShooting::WhyFailed(); }
+  std::string FailureReason() const override { return stopped() ? kStopped : HybridShooting::FailureReason(); }
 
   bool Move(const HybridInput& input, bool with_derivatives) override {
     const HybridSystem& system = problem().system;
@@ -116,12 +116,12 @@ bool HasEqualIntervals(const HybridInput& input) {
   return most - least <= kEqual * most;
 }
 
-std::string WhyNotAudited(const HybridProblem& problem) {
-  if (std::string wrong = WhatIsWrongWith(problem); !wrong.empty()) return wrong;
+std::string UnsupportedByAudit(const HybridProblem& problem) {
+  if (std::string wrong = Validate(problem); !wrong.empty()) return wrong;
   bool any = false;
   for (const HybridTerm& term : problem.terms) {
     if (!term.IsCost()) return term.name + " is a constraint: the loss of an audit has only costs";
-    if (term.at == HybridTerm::At::kEvent) return term.name + " is a cost at events, of which a scheme has none";
+    if (term.at == HybridTerm::Timing::kEvent) return term.name + " is a cost at events, of which a scheme has none";
     if (term.interval >= 0 && !HasEqualIntervals(problem.guess)) {
       return term.name + " is a cost at a given time on control intervals of unequal lengths, expected equal ones";
     }
@@ -131,7 +131,7 @@ std::string WhyNotAudited(const HybridProblem& problem) {
 }
 
 // Returns the input on `count` control intervals of equal lengths, each with the control at its middle.
-HybridInput OnEqualIntervals(HybridInput input, int count) {
+HybridInput ResampleOnEqualIntervals(HybridInput input, int count) {
   const std::vector<double> times = input.Times(), control = std::move(input.control);
   const std::size_t m = control.size() / input.num_intervals;
   input.control.clear();
@@ -175,7 +175,7 @@ std::vector<SegmentError> StudySegments(const HybridProblem& problem, HybridSche
   const HybridSystem& system = problem.system;
   const int m = system.num_controls();
   const double h = problem.guess.duration / steps;
-  const HybridInput on_steps = OnEqualIntervals(problem.guess, steps);
+  const HybridInput on_steps = ResampleOnEqualIntervals(problem.guess, steps);
   HybridSimulator exact(system, problem.integration);
   if (!exact.Rollout(on_steps)) return {};
   std::vector<Eigen::RowVectorXd> costates = {
@@ -227,7 +227,7 @@ std::vector<double> FinalCotangent(HybridShooting* exact) {
   std::vector<HybridShooting::TermAt> terms;
   exact->EvaluateTerms(&terms);
   for (const HybridShooting::TermAt& at : terms) {
-    if (at.term->at != HybridTerm::At::kEnd || !at.term->with_state) continue;
+    if (at.term->at != HybridTerm::Timing::kEnd || !at.term->with_state) continue;
     for (std::size_t i = 0; i < at.residuals.size(); ++i) {
       const double slope = at.term->SlopeOf(at.residuals[i]);
       for (std::size_t j = 0; j < sum.size(); ++j) sum[j] += slope * at.jacobians[0][i * sum.size() + j];
@@ -311,7 +311,7 @@ WidthSweepStudy SweepWidths(const HybridProblem& problem, HybridScheme* scheme, 
   const LossAtGuess loss(&shooting);
   WidthSweepStudy study;
   if (!loss.ok) {
-    study.reason = shooting.WhyFailed();
+    study.reason = shooting.FailureReason();
     return study;
   }
   std::vector<SweptVariable> swept_variables;
@@ -383,12 +383,12 @@ int DifferenceStep(const HybridSystem& system, const SchemeStep& step, const Ste
 HybridAudit AuditScheme(const HybridProblem& given, HybridScheme* scheme, const HybridAuditOptions& options) {
   HybridAudit audit;
   audit.scheme = scheme->name();
-  audit.reason = WhyNotAudited(given);
+  audit.reason = UnsupportedByAudit(given);
   if (!audit.ok()) return audit;
-  HybridProblem problem = WithAllFree(given);
+  HybridProblem problem = FreeAllVariables(given);
   problem.free.duration = false;
   const int intervals = HasEqualIntervals(problem.guess) ? problem.guess.num_intervals : std::max(options.steps, 1);
-  problem.guess = OnEqualIntervals(problem.guess, intervals);
+  problem.guess = ResampleOnEqualIntervals(problem.guess, intervals);
   const auto fail = [&](const std::string& reason) {
     audit.reason = reason;
     audit.interrupted = reason == kStopped;
@@ -399,8 +399,8 @@ HybridAudit AuditScheme(const HybridProblem& given, HybridScheme* scheme, const 
   HybridSimulator& simulator = shooting.simulator();
   const LossAtGuess exact(&shooting);
   if (!exact.ok) {
-    const bool moves = !simulator.WhyNotFinite().empty();
-    return fail((moves ? "there is no exact gradient: " : "there is no exact motion: ") + shooting.WhyFailed());
+    const bool moves = !simulator.ReasonNotFinite().empty();
+    return fail((moves ? "there is no exact gradient: " : "there is no exact motion: ") + shooting.FailureReason());
   }
   audit.exact_loss = exact.value;
   audit.exact = GradientIn(shooting, exact.gradient);
@@ -408,10 +408,10 @@ HybridAudit AuditScheme(const HybridProblem& given, HybridScheme* scheme, const 
   audit.steps = coarsest * K;
   SchemeShooting steps(problem, scheme, coarsest, options.stop);
   const LossAtGuess own(&steps);
-  if (!own.ok) return fail(steps.WhyFailed());
+  if (!own.ok) return fail(steps.FailureReason());
   audit.loss = own.value;
   audit.gradient = GradientIn(steps, own.gradient);
-  if (const std::string remark = simulator.WhyNotDifferentiable(); !remark.empty()) {
+  if (const std::string remark = simulator.ReasonNotDifferentiable(); !remark.empty()) {
     const auto& ties = simulator.ties();
     const bool ambiguous = std::any_of(ties.begin(), ties.end(), [](const HybridTie& tie) { return tie.ambiguous; });
     audit.verdict = ambiguous ? Verdict::kAmbiguous : Verdict::kOneSided;
@@ -421,7 +421,7 @@ HybridAudit AuditScheme(const HybridProblem& given, HybridScheme* scheme, const 
   const HybridSensitivity events = simulator.Sensitivity();
   const std::vector<SweptVariable> variables = VariablesOf(problem, events, audit.steps);
   if (scheme->HasJacobian()) {
-    audit.own = CompareAlongSums(variables, 1, [&](int, Quantity) -> const LossAtGuess& { return own; });
+    audit.gradient_check = CompareAlongSums(variables, 1, [&](int, Quantity) -> const LossAtGuess& { return own; });
   }
 
   RefinementStudy& study = audit.refinement.emplace();
@@ -432,13 +432,13 @@ HybridAudit AuditScheme(const HybridProblem& given, HybridScheme* scheme, const 
   const auto by = [](HybridShooting&& function) {
     const LossAtGuess loss(&function);
     return loss.ok ? SteppedGradient::Parts{.entries = PartsOf(GradientIn(function, loss.gradient))}
-                   : SteppedGradient::Parts{.reason = function.WhyFailed()};
+                   : SteppedGradient::Parts{.reason = function.FailureReason()};
   };
   // Returns the exact problem with so many steps of the integration in a control interval.
   const auto integrated = [&](int per_interval) {
     HybridProblem other = problem;
     other.integration.steps_per_interval = per_interval;
-    other.integration.divided = simulator.divided();
+    other.integration.divisions = simulator.divisions();
     return other;
   };
   const auto initial_gradient = [&](const Change& change, int more) {
@@ -481,13 +481,13 @@ HybridAudit AuditScheme(const HybridProblem& given, HybridScheme* scheme, const 
   return audit;
 }
 
-std::string HybridAudit::Why() const {
+std::string HybridAudit::VerdictReason() const {
   if (!ok()) return reason;
   if (verdict == Verdict::kIllConditioned) return refinement->conditioning->Describe();
-  if (own && own->agreement == Agreement::kDiffers) {
+  if (gradient_check && gradient_check->agreement == Agreement::kDiffers) {
     return "its gradient contradicts its own steps: along a direction by " +
-           std::string(QuantityToString(own->quantity)) + " it is " + ToText(own->gradient, 4) +
-           ", differences of its loss give " + ToText(own->difference, 4) + "; correct its Jacobians first";
+           std::string(QuantityToString(gradient_check->quantity)) + " it is " + ToText(gradient_check->gradient, 4) +
+           ", differences of its loss give " + ToText(gradient_check->difference, 4) + "; correct its Jacobians first";
   }
   if (verdict == Verdict::kRight || verdict == Verdict::kConsistent) return "";
   if (first_wrong < 0) {

@@ -21,7 +21,7 @@ bool IsOf(Quantity quantity, const SceneParameter& parameter) {
 
 // Returns the restitutions, or the frictions above zero, of the pairs of materials that may touch; those of the scene
 // if it has no materials.
-std::vector<SceneParameter> OfPairs(Quantity quantity, const Scene& scene) {
+std::vector<SceneParameter> PairParameters(Quantity quantity, const Scene& scene) {
   using Kind = SceneParameter::Kind;
   std::vector<SceneParameter> parameters;
   for (const int pair : PairsInUse(scene)) {
@@ -60,7 +60,7 @@ std::vector<Entry> EntriesIn(const Scene& scene, const Sensitivity* gradient, Qu
         for (const int body : scene.control.bodies) {
           for (const char* force : {"ux", "uy"}) entries.push_back({force + in + scene.bodies[body].name, 0});
         }
-        for (const int body : scene.control.turned) {
+        for (const int body : scene.control.torque_bodies) {
           entries.push_back({"torque/radius" + in + scene.bodies[body].name, 0});
         }
       }
@@ -78,8 +78,8 @@ std::vector<Entry> EntriesIn(const Scene& scene, const Sensitivity* gradient, Qu
       break;
     case Quantity::kRestitution:
     case Quantity::kFriction:
-      for (const SceneParameter& parameter : OfPairs(quantity, scene)) {
-        add(NameOf(parameter, scene), [&](const Sensitivity& g) { return ByContact(parameter, g.parameters); });
+      for (const SceneParameter& parameter : PairParameters(quantity, scene)) {
+        add(NameOf(parameter, scene), [&](const Sensitivity& g) { return ContactDerivative(parameter, g.parameters); });
       }
       break;
     case Quantity::kGeometry:

@@ -74,10 +74,10 @@ std::optional<Conditioning> MeasureConditioning(const Scene& scene, const StopRe
 RefinementStudy StudyRefinement(const Contact& contact, const Scene& scene, const RefinementOptions& options,
                                 const StopRequest& stop) {
   RefinementStudy refused;
-  refused.reason = WhyNotApplicable(contact, scene);
+  refused.reason = ReasonNotApplicable(contact, scene);
   if (!refused.ok()) return refused;
   if (!scene.units.natural) {
-    const Scene natural = InNaturalUnits(scene);
+    const Scene natural = ToNaturalUnits(scene);
     RefinementStudy study = StudyRefinement(contact, natural, options, stop);
     for (QuantityStudy& quantity : study.quantities) {
       const double by = GradientFactor(quantity.quantity, natural.units, scene.units);
@@ -90,7 +90,7 @@ RefinementStudy StudyRefinement(const Contact& contact, const Scene& scene, cons
   study.intervals = NumIntervals(scene, options.most_intervals);
   Scene coarse = scene;
   coarse.steps = study.intervals;
-  const std::optional<ModelGradient> exact = ExactGradientOf(coarse, stop);
+  const std::optional<ModelGradient> exact = ComputeExactGradient(coarse, stop);
   if (!exact) {
     study.reason = "there is no exact gradient";
     return study;

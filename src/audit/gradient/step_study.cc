@@ -85,13 +85,13 @@ bool MayHaveAFloor(const QuantityStudy& study) {
 }
 
 // Whether verdicts on the quantity enter that of the study, at least if they are bad.
-bool EntersTheVerdict(Quantity quantity) {
+bool CountsForVerdict(Quantity quantity) {
   return quantity == Quantity::kPosition || quantity == Quantity::kVelocity || quantity == Quantity::kControl ||
-         IsOfSystem(quantity);
+         IsHybridQuantity(quantity);
 }
 
 // Orders verdicts from good to bad; a wrong gradient outweighs an unknown one.
-int Badness(Verdict verdict) {
+int VerdictRank(Verdict verdict) {
   constexpr int kBadness[] = {0, 1, 5, 6, 2, 4, 3, 3, 7, 2};  // in the order of the enum
   return kBadness[static_cast<int>(verdict)];
 }
@@ -101,10 +101,10 @@ Verdict Overall(const RefinementStudy& study) {
   bool judged = false;
   const auto worsen = [&](Verdict verdict) {
     judged = true;
-    if (Badness(verdict) > Badness(worst)) worst = verdict;
+    if (VerdictRank(verdict) > VerdictRank(worst)) worst = verdict;
   };
   for (const QuantityStudy& quantity : study.quantities) {
-    if (!quantity.IsJudged() || !EntersTheVerdict(quantity.quantity)) continue;
+    if (!quantity.IsJudged() || !CountsForVerdict(quantity.quantity)) continue;
     if (quantity.quantity != Quantity::kControl) {
       worsen(quantity.verdict);
     } else if (IsWrong(quantity.verdict)) {
@@ -132,14 +132,14 @@ class Levels {
   double CostOf(int level) const { return std::ldexp(gradient_.work(contacts_), level) * options_.samples; }
 
   // Whether the time is up: a level takes about as long as all before it.
-  bool IsTooLate() const {
+  bool IsOutOfTime() const {
     const std::chrono::duration<double> passed = std::chrono::steady_clock::now() - begin_;
     return options_.seconds > 0 && 2 * passed.count() > options_.seconds;
   }
 
-  bool Undecided() const {
+  bool HasUnknownVerdict() const {
     return std::any_of(out_.quantities.begin(), out_.quantities.end(), [](const QuantityStudy& study) {
-      return EntersTheVerdict(study.quantity) && MayHaveAFloor(study);
+      return CountsForVerdict(study.quantity) && MayHaveAFloor(study);
     });
   }
 
@@ -171,7 +171,7 @@ class Levels {
   }
 
   // Errors no larger than the effect of rounding on the exact gradient do not count against the model.
-  void ExcuseRounding() {
+  void AcceptRounding() {
     std::vector<double> of_levels;  // by quantity
     for (size_t q = 0; q < out_.quantities.size(); ++q) {
       QuantityStudy& quantity = out_.quantities[q];
@@ -286,13 +286,13 @@ WidthFinding FindingOf(const WidthSweep& sweep, double scale, double tolerance) 
   return own ? WidthFinding::kOnlyOfItsSteps : WidthFinding::kOfNeither;
 }
 
-bool IsAgainst(const WidthSweep& sweep) {
+bool ShowsError(const WidthSweep& sweep) {
   return sweep.finding == WidthFinding::kOnlyOfItsSteps || sweep.finding == WidthFinding::kOfNeither;
 }
 
 // Whether the slopes of two sweeps have one unit. Each variable of a hybrid system has a unit of its own.
 bool HaveOneUnit(const WidthSweep& a, const WidthSweep& b) {
-  return &a == &b || (a.quantity == b.quantity && !IsOfSystem(a.quantity));
+  return &a == &b || (a.quantity == b.quantity && !IsHybridQuantity(a.quantity));
 }
 
 // Returns the loss at a distance along a direction from the initial guess; NaN if there is none.
@@ -323,7 +323,7 @@ Verdict JudgeSweeps(double loss, const WidthSweepOptions& options, std::vector<W
       if (HaveOneUnit(other, sweep)) scale = std::max({scale, std::abs(other.wide), std::abs(other.gradient)});
     }
     sweep.finding = FindingOf(sweep, scale, options.tolerance);
-    if (!IsAgainst(sweep)) continue;
+    if (!ShowsError(sweep)) continue;
     const double negligible = kNegligibleSlope * scale;
     const bool flips =
         sweep.gradient * sweep.wide < 0 && std::abs(sweep.gradient) > negligible && std::abs(sweep.wide) > negligible;
@@ -333,8 +333,8 @@ Verdict JudgeSweeps(double loss, const WidthSweepOptions& options, std::vector<W
 }
 
 // Returns the worse of the two.
-OwnDifferences Worse(const OwnDifferences& a, const OwnDifferences& b) {
-  const auto badness = [](const OwnDifferences& found) {
+GradientCheck Worse(const GradientCheck& a, const GradientCheck& b) {
+  const auto badness = [](const GradientCheck& found) {
     return found.agreement == Agreement::kDiffers ? 2 : found.agreement == Agreement::kUndecided ? 1 : 0;
   };
   return badness(b) > badness(a) ? b : a;
@@ -346,14 +346,14 @@ void StudyErrors(const SteppedGradient& gradient, double loss, const RefinementO
                  const StopRequest& stop, RefinementStudy* study) {
   Levels run(gradient, loss, options, stop, study);
   const int levels = std::max<int>(options.levels, kTail);
-  for (int level = 0; level < levels || (level < options.most_levels && run.Undecided()); ++level) {
-    if (level >= static_cast<int>(kTail) && (run.CostOf(level) > options.budget || run.IsTooLate())) break;
+  for (int level = 0; level < levels || (level < options.most_levels && run.HasUnknownVerdict()); ++level) {
+    if (level >= static_cast<int>(kTail) && (run.CostOf(level) > options.budget || run.IsOutOfTime())) break;
     if (!run.AddLevel(level)) return;
   }
   for (QuantityStudy& quantity : study->quantities) {
     if (MayHaveAFloor(quantity)) quantity.verdict = Verdict::kUnknown;
   }
-  run.ExcuseRounding();
+  run.AcceptRounding();
   study->verdict = Overall(*study);
 }
 
@@ -412,7 +412,7 @@ void Sweep(const std::vector<SweptVariable>& variables, double loss, const Width
 void JudgeByExact(WidthSweepStudy* study) {
   for (WidthSweep& sweep : study->sweeps) {
     const auto miss = [&](double value) { return std::abs(value - *sweep.exact); };
-    if (sweep.exact && IsAgainst(sweep) && miss(sweep.wide) >= miss(sweep.gradient)) {
+    if (sweep.exact && ShowsError(sweep) && miss(sweep.wide) >= miss(sweep.gradient)) {
       sweep.finding = WidthFinding::kFarther;
     }
   }
@@ -429,8 +429,8 @@ LossAtGuess::LossAtGuess(ShootingFunction* of) : function(of), gradient(of->num_
   ok = function->Evaluate(function->initial_guess(), &value, gradient.data());
 }
 
-OwnDifferences CompareAlong(const LossAtGuess& loss, const std::vector<double>& direction, double widest) {
-  OwnDifferences found;
+GradientCheck CompareAlong(const LossAtGuess& loss, const std::vector<double>& direction, double widest) {
+  GradientCheck found;
   double scale = 0;  // so that entries that happen to cancel do not ask for more than there is
   for (std::size_t i = 0; i < direction.size(); ++i) {
     found.gradient += loss.gradient[i] * direction[i];
@@ -470,8 +470,8 @@ OwnDifferences CompareAlong(const LossAtGuess& loss, const std::vector<double>& 
   return found;
 }
 
-OwnDifferences CompareAlongSums(const std::vector<SweptVariable>& variables, int threads,
-                                const std::function<const LossAtGuess&(int thread, Quantity quantity)>& loss) {
+GradientCheck CompareAlongSums(const std::vector<SweptVariable>& variables, int threads,
+                               const std::function<const LossAtGuess&(int thread, Quantity quantity)>& loss) {
   std::vector<Quantity> quantities;
   for (const SweptVariable& variable : variables) {
     if (std::ranges::find(quantities, variable.quantity) == quantities.end()) quantities.push_back(variable.quantity);
@@ -483,7 +483,7 @@ OwnDifferences CompareAlongSums(const std::vector<SweptVariable>& variables, int
     for (std::size_t j = 0; j < variables.size(); ++j) row.push_back(random() % 2 == 0 ? 1.0 : -1.0);
   }
   const int count = kDirections * static_cast<int>(quantities.size());
-  std::vector<std::optional<OwnDifferences>> found(count);
+  std::vector<std::optional<GradientCheck>> found(count);
   std::atomic<int> differs = count;  // none is worse, so what follows it is not needed
   ParallelFor(threads, count, [&](int thread, int i) {
     if (i > differs) return;
@@ -500,7 +500,7 @@ OwnDifferences CompareAlongSums(const std::vector<SweptVariable>& variables, int
     if (found[i]->agreement != Agreement::kDiffers) return;
     for (int other = differs; i < other && !differs.compare_exchange_weak(other, i);) continue;
   });
-  OwnDifferences worst{.agreement = Agreement::kAgrees};
+  GradientCheck worst{.agreement = Agreement::kAgrees};
   for (int i = 0; i <= std::min<int>(differs, count - 1); ++i) {
     if (found[i]) worst = Worse(worst, *found[i]);
   }
@@ -548,7 +548,7 @@ const WidthSweep* WidthSweepStudy::Worst() const {
   const WidthSweep* worst = nullptr;
   const auto miss = [](const WidthSweep& sweep) { return std::abs(sweep.gradient - sweep.wide); };
   for (const WidthSweep& sweep : sweeps) {
-    if (!IsAgainst(sweep)) continue;
+    if (!ShowsError(sweep)) continue;
     // Only entries of one unit can be compared.
     if (worst != nullptr && (!HaveOneUnit(sweep, *worst) || miss(sweep) <= miss(*worst))) continue;
     worst = &sweep;

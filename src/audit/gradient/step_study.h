@@ -14,7 +14,7 @@
 #include "saltus/control/shooting_function.h"
 #include "saltus/control/single_shooting.h"
 #include "saltus/scene/scene.h"
-#include "saltus/simulate/event_sides.h"
+#include "saltus/simulate/one_sided_derivatives.h"
 #include "saltus/simulate/registry.h"
 
 namespace saltus {
@@ -80,13 +80,13 @@ struct LossAtGuess {
 
 // Compares the gradient along a direction with differences of the loss of decreasing width, to either side. `widest` is
 // in the units of the direction.
-OwnDifferences CompareAlong(const LossAtGuess& loss, const std::vector<double>& direction, double widest);
+GradientCheck CompareAlong(const LossAtGuess& loss, const std::vector<double>& direction, double widest);
 
 // Compares the gradient with differences of its own loss, along sums of all variables of a quantity with signs that are
 // fixed but arbitrary, each in its grid width. `loss` returns that of a thread, of which one direction is computed at a
 // time; without a gradient a direction is left out.
-OwnDifferences CompareAlongSums(const std::vector<SweptVariable>& variables, int threads,
-                                const std::function<const LossAtGuess&(int thread, Quantity quantity)>& loss);
+GradientCheck CompareAlongSums(const std::vector<SweptVariable>& variables, int threads,
+                               const std::function<const LossAtGuess&(int thread, Quantity quantity)>& loss);
 
 // Marks the sweeps whose wide differences are farther from their exact derivatives than the gradient is: these are not
 // counted against it.
@@ -105,8 +105,8 @@ double Distance(const std::vector<double>& a, const std::vector<double>& b);
 
 // Undecided where the model cannot simulate the scene. A stopped comparison has no meaning. Results do not depend on
 // `threads`; more than one needs a model whose simulators may run in parallel. `most_states`: as in LargestSpeed().
-OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& scene, const StopRequest& stop = nullptr,
-                                         int threads = 1, int most_states = 0);
+GradientCheck CheckGradient(const Contact& contact, const Scene& scene, const StopRequest& stop = nullptr,
+                            int threads = 1, int most_states = 0);
 
 // Compares derivatives by parameters: those of `names` that the scene has (scene_parameter.h), each by itself. Left out
 // are those that neither gradient nor differences depend on. Empty where the model cannot simulate the scene, or has
@@ -143,7 +143,8 @@ double LargestSpeed(const Simulator& simulator, int most_states = 0);
 // with another event of one of its discs and no discs pass each other without a gap, and where rollouts are so long
 // that differences by every entry would take minutes. The result has no meaning if it was stopped. `contact` is
 // event-driven and can simulate the scene, which is in natural units.
-std::vector<OneSided> OneSidedAtOnce(const Contact& contact, const Scene& scene, const std::vector<OneSided>& known,
-                                     const StopRequest& stop = nullptr);
+std::vector<OneSided> OneSidedBySimultaneousEvents(const Contact& contact, const Scene& scene,
+                                                   const std::vector<OneSided>& known,
+                                                   const StopRequest& stop = nullptr);
 
 }  // namespace saltus

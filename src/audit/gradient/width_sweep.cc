@@ -18,7 +18,7 @@ namespace {
 constexpr double kMostSteps = 20000;  // of the refined simulation
 
 // Returns half the smallest gap of a disc at the initial time, m.
-double Room(const Scene& scene, int body) {
+double HalfSmallestGap(const Scene& scene, int body) {
   const Body& a = scene.bodies[body];
   double gap = std::numeric_limits<double>::infinity();
   for (int i = 0; i < scene.num_bodies(); ++i) {
@@ -63,10 +63,10 @@ void CompareWithExact(const Scene& scene, const ModelGradient& exact, WidthSweep
 WidthSweepStudy SweepWidths(const Contact& contact, const Scene& scene, const WidthSweepOptions& options,
                             const StopRequest& stop) {
   WidthSweepStudy refused;
-  refused.reason = WhyNotApplicable(contact, scene);
+  refused.reason = ReasonNotApplicable(contact, scene);
   if (!refused.ok()) return refused;
   if (!scene.units.natural) {
-    const Scene natural = InNaturalUnits(scene);
+    const Scene natural = ToNaturalUnits(scene);
     WidthSweepStudy study = SweepWidths(contact, natural, options, stop);
     for (WidthSweep& sweep : study.sweeps) Convert(natural.units, scene.units, &sweep);
     return study;
@@ -97,7 +97,7 @@ WidthSweepStudy SweepWidths(const Contact& contact, const Scene& scene, const Wi
   }
   int next = 0;
   for (int i = 0; i < scene.num_bodies(); ++i) {
-    for (int j = 0; j < 2 && !scene.bodies[i].fixed; ++j) variables[next++].most = Room(scene, i);
+    for (int j = 0; j < 2 && !scene.bodies[i].fixed; ++j) variables[next++].most = HalfSmallestGap(scene, i);
   }
   Sweep(variables, own.loss, options, &study);
   return study;

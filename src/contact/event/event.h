@@ -35,8 +35,8 @@
 //   other forces or an impact open it. That ends the bounces of e < 1 after finitely many; those of a pair by itself
 //   end with a plastic impact, whose impulse is the sum of all that would follow. The contact sticks or slides by
 //   Coulomb's law with the same mu; sliding ends at the exact time, or at once where friction jams the discs.
-//   Derivatives are those of motion that, after a small disturbance, comes to rest on the contact again; event_sides.h
-//   says where they are one-sided. Reported as kSustained, again in every step.
+//   Derivatives are those of motion that, after a small disturbance, comes to rest on the contact again;
+//   one_sided_derivatives.h says where they are one-sided. Reported as kSustained, again in every step.
 // Piles. Without friction each inelastic bounce within a pile causes others, ever smaller and in ever shorter times
 // (Zeno
 //   behaviour). After kManyImpacts in a step, a pair that touches others and has met kRepeatedImpacts times more, and
@@ -83,7 +83,7 @@ void TakeTimeSteppingStep(const M& model, const StepInput<T>& in, std::span<cons
   if (!why.empty()) in.Fail(why);
   const T none(std::numeric_limits<double>::quiet_NaN());
   for (int i = 0; i < static_cast<int>(x.size()); ++i) {
-    next[i] = step.Moved(i) ? step.End(i) : model.Free(in, i, x[i]);
+    next[i] = step.HasMoved(i) ? step.End(i) : model.Free(in, i, x[i]);
     if (!why.empty()) next[i] = {{none, none}, {none, none}};
   }
 }
@@ -99,13 +99,14 @@ template <typename M, typename T, typename Law, typename State>
   EventStep<T, M::kRotation, Law> step(in, law, x);
   // Derivatives are asked for only of steps in which something happens.
   if constexpr (std::is_same_v<T, double>) {
-    if (!step.AnythingMayHappen()) return FreeFlight(model, in, x, next);
+    if (!step.MayHaveContact()) return FreeFlight(model, in, x, next);
   }
   step.Run();
   if constexpr (step.kMayFallBack) {
     if (step.FallsBack()) return TakeTimeSteppingStep(model, in, x, next);
   }
-  for (int i = 0; i < static_cast<int>(x.size()); ++i) next[i] = step.Moved(i) ? step.End(i) : model.Free(in, i, x[i]);
+  for (int i = 0; i < static_cast<int>(x.size()); ++i)
+    next[i] = step.HasMoved(i) ? step.End(i) : model.Free(in, i, x[i]);
 }
 
 }  // namespace internal
@@ -124,7 +125,7 @@ struct EventDrivenOf {
   static constexpr int kRotation = kTurn;
   static constexpr bool kLinearRotation = kTurn > 0;
   static constexpr int kTapedFrom = 5;  // discs
-  static std::string WhyNot(const Scene& scene) {
+  static std::string ReasonNotApplicable(const Scene& scene) {
     if (!scene.table) return "";
     if (scene.Spins()) return "discs that spin on a table: how its friction slows their spin is not modelled";
     if (!scene.control.bodies.empty())

@@ -15,12 +15,12 @@ namespace saltus::internal {
 template <typename T>
 struct SceneLaw {
   const StepInput<T>& in;
-  const PairConstants<T>& At(const Candidate& c, const Vec2<T>& /*normal*/, const Vec2<T>& /*w*/) const {
+  const PairConstants<T>& LawAt(const Candidate& c, const Vec2<T>& /*normal*/, const Vec2<T>& /*w*/) const {
     return in.ContactOf(c);
   }
 };
 
-// Law::At(c, normal, w) returns restitution and friction of an impact of a candidate.
+// Law::LawAt(c, normal, w) returns restitution and friction of an impact of a candidate.
 template <typename T, int kRotation, typename Law>
 class EventChanges {
  public:
@@ -58,7 +58,7 @@ class EventChanges {
   }
 
   SALTUS_FLATTEN void MoveTo(int i, const Instant<T>& at) {
-    if (!motion_.Moves(i)) return;
+    if (!motion_.IsMovable(i)) return;
     Disc& disc = motion_.disc(i);
     const Vec2<T> p = disc.PositionAt(at.time), v = disc.VelocityAt(at.time);
     if constexpr (kRotation == kSpin) {
@@ -77,7 +77,7 @@ class EventChanges {
 
   // Moves disc i to an instant, with all discs that it is in closed contact with, and ends these contacts.
   void Release(int i, const Instant<T>& at) {
-    if (!motion_.Moves(i)) return;
+    if (!motion_.IsMovable(i)) return;
     MoveTo(i, at);
     motion_.disc(i).a = in_.Acceleration(i);
     if constexpr (kRotation == kSpin) motion_.disc(i).turn.acceleration = in_.AngularAcceleration(i);
@@ -98,7 +98,7 @@ class EventChanges {
   // Sets the deceleration of disc i on a table, against its present velocity. A disc that would stop within kNodeMargin
   // rests: rounding may have reversed its velocity at a grid node, and the deceleration would have the wrong sign.
   void Slide(int i) {
-    if (in_.table < 0 || !motion_.Moves(i) || motion_.disc(i).out) return;
+    if (in_.table < 0 || !motion_.IsMovable(i) || motion_.disc(i).out) return;
     Disc& disc = motion_.disc(i);
     const T speed = Length(disc.v);
     const bool slides = Value(speed) > 2 * kNodeMargin * in_.h * in_.slowing;
@@ -117,7 +117,7 @@ class EventChanges {
   }
 
   // Takes the disc of pair q out of play in its pocket: its contacts end, and it rests where it is.
-  void TakeOut(int q, const Instant<T>& at) {
+  void PocketDisc(int q, const Instant<T>& at) {
     const Candidate& c = motion_.CandidateOf(q);
     const T none(0.0);
     Disc& disc = motion_.disc(c.a);
@@ -187,7 +187,7 @@ class EventChanges {
   SALTUS_FLATTEN ContactMode ApplyImpact(const Candidate& c, bool pressed) {
     const Separation<T> at = motion_.LastSeparation(c);
     const Vec2<T> w = motion_.LastRelativeVelocity(c);
-    const PairConstants<T> law = law_.At(c, at.normal, w);
+    const PairConstants<T> law = law_.LawAt(c, at.normal, w);
     const bool last = pressed && -Value(law.restitution) * Value(Dot(at.normal, w)) <= kSlowSpeed;
     const T bounce = last ? T(1.0) : T(law.restitution + 1.0);
     const auto impact = MakeImpactOf(c, at.normal, w, bounce, law.friction);
@@ -196,7 +196,8 @@ class EventChanges {
       motion_.disc(i).kick += ValueOf(dv).norm();
     });
     if constexpr (kRotation == kSpin) {
-      ApplyTurn(in_, c, impact.tangential, [&](int i, const T& change) { motion_.disc(i).turn.speed += change; });
+      ApplyAngularImpulse(
+          in_, c, impact.tangential, [&](int i, const T& change) { motion_.disc(i).turn.speed += change; });
     }
     return impact.mode;
   }
@@ -207,7 +208,7 @@ class EventChanges {
     motion_.ForEachPairBeside(c, [&](int q) {
       if (time - queue_.pair(q).met > kNodeMargin * in_.h) return;
       const Candidate& d = motion_.CandidateOf(q);
-      const double turning = std::abs(Value(TurningDistance(in_, d, T(in_.ContactDistance(d)))));
+      const double turning = std::abs(Value(CurvatureRadius(in_, d, T(in_.ContactDistance(d)))));
       const double kick = motion_.disc(d.a).kick + (d.plane ? 0.0 : motion_.disc(d.b).kick);
       const Approach approach = motion_.ApproachAt(d, time);
       const double rounding = kRoundingOfSteps * (1 + motion_.SizeAt(d, time)) / turning * kick;

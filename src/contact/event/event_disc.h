@@ -122,7 +122,7 @@ struct Motion {
   bool curved = false;      // the acceleration is not constant
   Curve<Vec2d> curve = {};  // not set unless it is
 
-  Motion After(double s) const {
+  Motion MotionAfter(double s) const {
     Motion after{p + s * (v + (0.5 * s) * a), v + s * a, a};
     if (curved) AddCurve(s, &after);
     return after;
@@ -153,7 +153,7 @@ struct Approach {
   GapPolynomial polynomial;
 
   bool Touching(double slow = kSlowSpeed) const { return gap <= kContactGap && speed <= slow && speed >= -slow; }
-  bool PushedTogether() const { return acceleration < -kPushing; }
+  bool HasClosingForce() const { return acceleration < -kPushing; }
   // Whether the pair is so slow and so curved that it separates before the gap falls below -kContactGap.
   bool Grazing() const { return speed * speed < 2 * acceleration * kContactGap; }
 };

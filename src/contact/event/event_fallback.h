@@ -70,11 +70,11 @@ class TimeSteppingStep {
       Report(contact);
     }
     ApplyImpulses();
-    return std::is_same_v<T, double> ? WhatIsWrong() : std::string_view();
+    return std::is_same_v<T, double> ? ReasonInconsistent() : std::string_view();
   }
 
   // Whether disc i takes part, and if so its state at the end of the step.
-  bool Moved(int i) const { return discs_[i].takes_part; }
+  bool HasMoved(int i) const { return discs_[i].takes_part; }
   State End(int i) const { return {start_[i].p + Scale(in_.h, discs_[i].velocity), discs_[i].velocity}; }
 
  private:
@@ -92,11 +92,11 @@ class TimeSteppingStep {
     double left = 0, right = 0;  // N s, along n - mu t and n + mu t
   };
 
-  bool Moves(int i) const { return !in_.bodies[i].fixed; }
+  bool IsMovable(int i) const { return !in_.bodies[i].fixed; }
   double Friction(const Candidate& c) const { return Value(in_.ContactOf(c).friction); }
 
   template <typename PositionOf>
-  Separation<double> ApartAt(const Candidate& c, const PositionOf& position) const {
+  Separation<double> SeparationInStep(const Candidate& c, const PositionOf& position) const {
     Separation<double> at =
         c.plane ? Separate<double>(position(c.a), in_.planes[c.b]) : Separate<double>(position(c.a), position(c.b));
     at.distance -= in_.ContactDistance(c);
@@ -106,39 +106,40 @@ class TimeSteppingStep {
     return at;
   }
   double GapAtStart(const Candidate& c) const {
-    return ApartAt(c, [&](int i) { return discs_[i].start.p; }).distance;
+    return SeparationInStep(c, [&](int i) { return discs_[i].start.p; }).distance;
   }
   double GapAtEnd(const Candidate& c) const {
-    return ApartAt(c,
-                   [&](int i) {
-                     const Disc& disc = discs_[i];
-                     return disc.takes_part ? Vec2d(disc.start.p + in_.h * disc.after) : disc.start.After(in_.h).p;
-                   })
+    return SeparationInStep(c,
+                            [&](int i) {
+                              const Disc& disc = discs_[i];
+                              return disc.takes_part ? Vec2d(disc.start.p + in_.h * disc.after)
+                                                     : disc.start.MotionAfter(in_.h).p;
+                            })
         .distance;
   }
   Contact MeasureContact(int pair) const {
-    const Separation<double> at = ApartAt(in_.candidates[pair], [&](int i) { return discs_[i].start.p; });
+    const Separation<double> at = SeparationInStep(in_.candidates[pair], [&](int i) { return discs_[i].start.p; });
     // A small overlap comes from rounding, and is undone.
     return {pair, at.normal, (at.distance > -kLargestOverlap ? at.distance : 0.0) / in_.h};
   }
 
   // Returns two impulses of each pair, N s, and whether the discs of each take part.
   std::vector<double> FindImpulses() {
-    Gather();
+    FindPossiblePairs();
     for (int round = 0; round < kMostFallbackRounds; ++round) {
       if (!Solve()) break;
       LeaveOut();
-      if (!Join()) return Found();
+      if (!AddOverlappingPairs()) return FoundImpulses();
     }
     failed_ = true;
     return {};
   }
 
   // Finds the pairs that may meet, whether or not the discs are stopped or pushed by others.
-  void Gather() {
+  void FindPossiblePairs() {
     double pushed = 0;  // m/s
     for (std::size_t i = 0; i < discs_.size(); ++i) {
-      if (Moves(static_cast<int>(i))) pushed = std::max(pushed, in_.h * discs_[i].start.a.norm());
+      if (IsMovable(static_cast<int>(i))) pushed = std::max(pushed, in_.h * discs_[i].start.a.norm());
     }
     for (int pair = 0; pair < static_cast<int>(in_.candidates.size()); ++pair) {
       const Candidate& c = in_.candidates[pair];
@@ -151,14 +152,14 @@ class TimeSteppingStep {
     }
   }
   void Include(const Candidate& c) {
-    for (int i : {c.a, c.plane ? c.a : c.b}) discs_[i].takes_part = Moves(i);
+    for (int i : {c.a, c.plane ? c.a : c.b}) discs_[i].takes_part = IsMovable(i);
   }
-  bool Takes(const Candidate& c) const {
-    const auto takes = [&](int i) { return discs_[i].takes_part || !Moves(i); };
+  bool TakesPart(const Candidate& c) const {
+    const auto takes = [&](int i) { return discs_[i].takes_part || !IsMovable(i); };
     return takes(c.a) && (c.plane || takes(c.b));
   }
 
-  bool Bounds(int pair) const { return bounds_[pair] && Takes(in_.candidates[pair]); }
+  bool Bounds(int pair) const { return bounds_[pair] && TakesPart(in_.candidates[pair]); }
 
   bool Solve() {
     contacts_.clear();
@@ -206,7 +207,7 @@ class TimeSteppingStep {
     }
   }
   // Adds the pairs that were not among the contacts and would overlap. Returns whether there are any.
-  bool Join() {
+  bool AddOverlappingPairs() {
     joining_.clear();
     for (int pair = 0; pair < static_cast<int>(in_.candidates.size()); ++pair) {
       const Candidate& c = in_.candidates[pair];
@@ -222,9 +223,10 @@ class TimeSteppingStep {
     return !joining_.empty();
   }
 
-  std::vector<double> Found() const {
+  std::vector<double> FoundImpulses() const {
     std::vector<double> found(3 * in_.candidates.size(), 0.0);
-    for (std::size_t pair = 0; pair < in_.candidates.size(); ++pair) found[3 * pair + 2] = Takes(in_.candidates[pair]);
+    for (std::size_t pair = 0; pair < in_.candidates.size(); ++pair)
+      found[3 * pair + 2] = TakesPart(in_.candidates[pair]);
     for (const Contact& contact : contacts_) {
       if (IsActive(contact.left)) found[3 * contact.pair] = contact.left;
       if (IsActive(contact.right)) found[3 * contact.pair + 1] = contact.right;
@@ -276,7 +278,7 @@ class TimeSteppingStep {
   }
 
   // Returns the reason why the motion is not that of rigid discs; empty if it is.
-  std::string_view WhatIsWrong() const {
+  std::string_view ReasonInconsistent() const {
     double gain = 0, energy = 0;
     for (std::size_t i = 0; i < discs_.size(); ++i) {
       if (!discs_[i].takes_part) continue;

@@ -244,7 +244,7 @@ class EventGroup {
     stages_.assign((kStages + 1) * n, Bent());
     for (int stage = 1; stage <= kStages; ++stage) {
       const double s = stage < kStages ? cooper_verner::kC[stage] * length : length;
-      for (std::size_t k = 0; k < n; ++k) Bend(stage, s, length, k);
+      for (std::size_t k = 0; k < n; ++k) MoveToStage(stage, s, length, k);
       FindAccelerations();
       for (std::size_t k = 0; k < n; ++k) {
         const Disc &disc = discs_[moving_[k]], &start = before_[k];
@@ -281,7 +281,7 @@ class EventGroup {
 
   // Returns how far the forces at the end of the curves are from where a contact with friction opens or begins to
   // slide: the least distance over all contacts, divided by the normal force at the start; negative beyond that place.
-  double LeftInMode() const {
+  double ModeMargin() const {
     double left = kNever;
     for (const Contact& contact : contacts_) {
       if (!contact.closed) continue;
@@ -406,7 +406,7 @@ class EventGroup {
     const bool at_rest = std::abs(sliding) <= kStickSpeed;
     const bool may_stick = at_rest && f.friction > 0;
     f.sliding = at_rest ? 0 : (sliding > 0) - (sliding < 0);
-    const double turning = Value(TurningDistance(in_, c, T(at.distance)));
+    const double turning = Value(CurvatureRadius(in_, c, T(at.distance)));
     contact->bends = !c.plane || turning != 0;
     const double passing = PassingSpeed(*contact);
     const bool turns = turning != 0 && (!may_stick || kRotation == kSpin);
@@ -496,7 +496,7 @@ class EventGroup {
       row.push = at.normal - Scale(drift, tangent);
       row.push_along = T(-drift);
     }
-    if (const T turning = TurningDistance(in_, c, at.distance); contact.MayTurn() && Value(turning) != 0) {
+    if (const T turning = CurvatureRadius(in_, c, at.distance); contact.MayTurn() && Value(turning) != 0) {
       const T rate = Divide(Dot(tangent, RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; })), turning);
       row.turning = Scale(rate, Vec2<T>(tangent - Scale(row.push_along, at.normal)));
     }
@@ -578,7 +578,7 @@ class EventGroup {
     const Vec2<T> tangent = Perpendicular(at.normal);
     const int b = c.plane ? -1 : c.b;
     T turning(0.0);
-    const T distance = TurningDistance(in_, c, at.distance);
+    const T distance = CurvatureRadius(in_, c, at.distance);
     if (contact.MayTurn() && Value(distance) != 0) {
       const Vec2<T> w = RelativeVelocity<T>(c, [&](int i) { return discs_[i].v; });
       if (Value(sub_step) > 0) {
@@ -623,7 +623,7 @@ class EventGroup {
     Difference<T> turn{T(0.0), T(0.0), T(0.0)};
   };
   // Moves disc k of those that move to a stage, s after the start of a sub-step.
-  void Bend(int stage, double s, double length, std::size_t k) {
+  void MoveToStage(int stage, double s, double length, std::size_t k) {
     const std::size_t n = moving_.size();
     Bent& bent = stages_[stage * n + k];
     const auto& row = cooper_verner::kRows[stage];

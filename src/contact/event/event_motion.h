@@ -50,22 +50,22 @@ class EventMotion {
   int num_pairs() const { return static_cast<int>(in_.candidates.size()); }
   const Candidate& CandidateOf(int q) const { return in_.candidates[q]; }
 
-  bool Moves(int i) const { return !in_.bodies[i].fixed; }
+  bool IsMovable(int i) const { return !in_.bodies[i].fixed; }
   bool IsTable(const Candidate& c) const { return c.plane && c.b == in_.table; }
   bool IsPocket(const Candidate& c) const { return in_.num_pockets > 0 && in_.IsPocket(c); }
   bool IsEdge(const Candidate& c) const { return c.plane && !in_.extents.empty() && !in_.extents[c.b].endless; }
   // Whether a disc of the pair lies in a pocket.
-  bool IsOut(const Candidate& c) const {
+  bool IsPocketed(const Candidate& c) const {
     return in_.num_pockets > 0 && (discs_[c.a].out || (!c.plane && discs_[c.b].out));
   }
   // Whether the disc of a pair with a pocket is in it at the start of the step.
-  bool LiesIn(const Candidate& c) const {
+  bool IsInPocket(const Candidate& c) const {
     return IsPocket(c) && Separate<double>(ValueOf(start_[c.a].p), in_.planes[c.b]).distance <= kSeam;
   }
   // Whether some pair may touch within the step.
-  bool AnythingMayHappen() const {
+  bool MayHaveContact() const {
     return std::ranges::any_of(in_.candidates, [&](const Candidate& c) {
-      return IsTable(c) || LiesIn(c) || !StaysApart(ApproachAt(c, 0).polynomial, in_.h);
+      return IsTable(c) || IsInPocket(c) || !StaysApart(ApproachAt(c, 0).polynomial, in_.h);
     });
   }
   bool IsDirty(int q) const {
@@ -96,7 +96,7 @@ class EventMotion {
     }
     int at[2] = {0, 0}, end[2] = {0, 0};
     const auto list = [&](int side, int i) {
-      if (!Moves(i)) return;
+      if (!IsMovable(i)) return;
       at[side] = first_pair_of_[i];
       end[side] = first_pair_of_[i + 1];
     };
@@ -140,7 +140,7 @@ class EventMotion {
       motion.curved = true;
       for (int k = 0; k < 3; ++k) motion.curve[k] = ValueOf((*disc.curve)[k]);
     }
-    return motion.After(time - Value(disc.t));
+    return motion.MotionAfter(time - Value(disc.t));
   }
   SALTUS_FLATTEN Approach ApproachAt(const Candidate& c, double time) const {
     return Measure(c, [&](int i) { return MotionAt(i, time); });
@@ -177,7 +177,7 @@ class EventMotion {
         left.degree = 5;
       }
       const double after = FirstClosing(left, in_.h - now);
-      if (after < first && !in_.extents[c.b].Covers(motion.After(after).p, kSeam)) first = after;
+      if (after < first && !in_.extents[c.b].Covers(motion.MotionAfter(after).p, kSeam)) first = after;
     }
     return first;
   }
@@ -202,7 +202,7 @@ class EventMotion {
     const T time(predicted);
     if (predicted <= Value(LastTime(c))) return LastTime(c);
     if (approach.speed < -kSharpSpeed) return ImpactTime(c, predicted);
-    if (!approach.PushedTogether()) return time;
+    if (!approach.HasClosingForce()) return time;
     // The gap has never been more than rounding: this is when it begins to close.
     const T speed = Dot(SeparationAtTime(c, time).normal, RelativeVelocityAt(c, time));
     return time - Divide(T(speed - Value(speed)), approach.acceleration);
@@ -255,11 +255,11 @@ class EventMotion {
 
   // Returns the reason why the motion of the step is not that of rigid discs (overlaps, or energy gained beyond the
   // work of the forces); empty if it is. `removed` is the energy that discs had when they fell into pockets, J.
-  std::string_view WhatIsWrong(double removed) const {
+  std::string_view ReasonInconsistent(double removed) const {
     double gain = removed, energy = 0;
     for (std::size_t i = 0; i < discs_.size(); ++i) {
-      if (!discs_[i].moved || !Moves(static_cast<int>(i))) continue;
-      const Motion before = AtStart(static_cast<int>(i)), after = MotionAt(static_cast<int>(i), in_.h);
+      if (!discs_[i].moved || !IsMovable(static_cast<int>(i))) continue;
+      const Motion before = MotionAtStart(static_cast<int>(i)), after = MotionAt(static_cast<int>(i), in_.h);
       const Vec2d force = Value(in_.bodies[i].mass) * ValueOf(in_.Acceleration(static_cast<int>(i)));
       const double m = 0.5 * Value(in_.bodies[i].mass);
       gain += m * (after.v.squaredNorm() - before.v.squaredNorm()) - Dot(force, Vec2d(after.p - before.p));
@@ -287,7 +287,7 @@ class EventMotion {
 
   // Whether two pairs have a disc that moves in common.
   bool ShareDisc(const Candidate& c, const Candidate& d) const {
-    const auto has = [&](int i) { return Moves(i) && (d.a == i || (!d.plane && d.b == i)); };
+    const auto has = [&](int i) { return IsMovable(i) && (d.a == i || (!d.plane && d.b == i)); };
     return has(c.a) || (!c.plane && has(c.b));
   }
   // Measures the approach of a pair. The gap is infinite where the part of an edge does not count, for pockets, which
@@ -302,7 +302,7 @@ class EventMotion {
       approach = MeasureApproach(a, in_.planes[c.b], in_.ContactDistance(c));
       if (IsEdge(c) && !CountsAt(c, a.p)) approach.gap = kNever;
     }
-    if (IsPocket(c) || IsOut(c)) approach.gap = kNever;
+    if (IsPocket(c) || IsPocketed(c)) approach.gap = kNever;
     return approach;
   }
   // Whether a part of an edge counts (walls.h) for a disc at p. Precondition: IsEdge(c).
@@ -310,9 +310,9 @@ class EventMotion {
     return Separate<double>(p, in_.planes[c.b]).distance > 0 && in_.extents[c.b].Covers(p, kSeam);
   }
 
-  Motion AtStart(int i) const { return {ValueOf(start_[i].p), ValueOf(start_[i].v), Vec2d(0, 0)}; }
+  Motion MotionAtStart(int i) const { return {ValueOf(start_[i].p), ValueOf(start_[i].v), Vec2d(0, 0)}; }
   Approach ApproachAtStart(const Candidate& c) const {
-    return Measure(c, [&](int i) { return AtStart(i); });
+    return Measure(c, [&](int i) { return MotionAtStart(i); });
   }
   // Whether the overlap at the start exceeds what impacts in the last kNodeMargin of the step before can leave.
   bool OverlapsAtStart(const Candidate& c) const {

@@ -124,10 +124,10 @@ class EventQueue {
   // Returns the first candidate among the impacts at the time of pair q's event that are connected with it through
   // moving discs. Without this rule, rounding would decide which of them comes first; the derivatives would then belong
   // to an order that depends on where steps begin and that may not occur in any disturbed motion.
-  int FirstAtOnce(int q) {
+  int FirstSimultaneous(int q) {
     const double time = pairs_[q].next;
     bool alone = true;
-    for (int r = 0; r < motion_.num_pairs(); ++r) alone = alone && (r == q || !IsAtOnce(r, time));
+    for (int r = 0; r < motion_.num_pairs(); ++r) alone = alone && (r == q || !IsSimultaneous(r, time));
     if (alone || !MayPrecede(q, time)) return q;
     at_once_.assign(1, q);
     for (std::size_t k = 0; k < at_once_.size(); ++k) {
@@ -156,7 +156,7 @@ class EventQueue {
     const Candidate& c = motion_.CandidateOf(q);
     pairs_[q].passed = motion_.LastDisc(c).event;
     const auto next = [&](double from, const GapPolynomial& gap) {
-      return from + motion_.FirstClosingOf(c, from, gap, LeftAfter(from), true);
+      return from + motion_.FirstClosingOf(c, from, gap, TimeLeft(from), true);
     };
     pairs_[q].next = next(time, approach.polynomial);
     if (pairs_[q].next > time) return;
@@ -193,7 +193,7 @@ class EventQueue {
   }
 
  private:
-  double LeftAfter(double time) const { return std::max(limit_ - time, 0.0); }
+  double TimeLeft(double time) const { return std::max(limit_ - time, 0.0); }
 
   void Predict(int q) {
     EventPair& pair = pairs_[q];
@@ -201,7 +201,7 @@ class EventQueue {
     pair.Change(PairChange::kPredicted, PairState::kFree);
     pair.waits = false;
     const Candidate& c = motion_.CandidateOf(q);
-    if (motion_.IsOut(c)) {
+    if (motion_.IsPocketed(c)) {
       pair.next = kNever;
       return;
     }
@@ -214,13 +214,13 @@ class EventQueue {
     Approach approach = motion_.ApproachAt(c, now);
     if (motion_.IsPocket(c)) {
       const std::span<const double> wait =
-          in_.Solved([&] { return std::array{FirstClosing(approach.polynomial, LeftAfter(now))}; });
+          in_.Solved([&] { return std::array{FirstClosing(approach.polynomial, TimeLeft(now))}; });
       pair.next = now + wait[0];
       return;
     }
     bool ignore_start = false;
     if (approach.Touching(SlowSpeed(q, now)) && !Bounces(q, approach, now)) {
-      const bool matters = approach.PushedTogether() || approach.speed < -kStillSpeed;
+      const bool matters = approach.HasClosingForce() || approach.speed < -kStillSpeed;
       if (matters && pair.passed != motion_.LastDisc(c).event) {
         pair.next = now;
         pair.waits = Repetitions(q) > kRepeatedImpacts;
@@ -232,14 +232,14 @@ class EventQueue {
       if (std::abs(approach.gap) <= kRoundingGap) approach.polynomial.c[0] = 0;
     }
     const std::span<const double> wait = in_.Solved(
-        [&] { return std::array{motion_.FirstClosingOf(c, now, approach.polynomial, LeftAfter(now), ignore_start)}; });
+        [&] { return std::array{motion_.FirstClosingOf(c, now, approach.polynomial, TimeLeft(now), ignore_start)}; });
     pair.next = now + wait[0];
   }
 
   // Whether a pair that touches is among the last of its bounces when the step begins. It meets once more: stopping it
   // here would take its speed without the friction of that impact, and at a time that has no derivative.
   bool Bounces(int q, const Approach& approach, double now) const {
-    return std::abs(approach.speed) > kSharpSpeed && approach.gap > kRoundingGap && approach.PushedTogether() &&
+    return std::abs(approach.speed) > kSharpSpeed && approach.gap > kRoundingGap && approach.HasClosingForce() &&
            motion_.TouchesAlone(q, now);
   }
 
@@ -247,12 +247,12 @@ class EventQueue {
   bool Precedes(int q, int other) const {
     return pairs_[q].precedes || (pairs_[other].waits && pairs_[q].state == PairState::kFree);
   }
-  bool IsAtOnce(int r, double time) const { return pairs_[r].next - time <= kTieTime * in_.h; }
+  bool IsSimultaneous(int r, double time) const { return pairs_[r].next - time <= kTieTime * in_.h; }
   // Whether the next event of pair r is an impact or the rim of a pocket, at `time` up to rounding.
   bool MayPrecede(int r, double time) const {
     const Candidate& c = motion_.CandidateOf(r);
     const double wait = pairs_[r].next - time;
-    if (pairs_[r].closed() || motion_.IsTable(c) || !IsAtOnce(r, time)) return false;
+    if (pairs_[r].closed() || motion_.IsTable(c) || !IsSimultaneous(r, time)) return false;
     const double speed = motion_.ApproachAt(c, time).speed;
     return speed < -SlowSpeed(r, time) && -speed * wait <= kRoundingGap * (1 + motion_.SizeAt(c, time)) &&
            Value(motion_.LastTime(c)) <= time;
@@ -265,14 +265,14 @@ class EventQueue {
     const PairConstants<T>& contact = in_.ContactOf(c);
     if (Value(contact.friction) > 0 || Value(contact.restitution) >= 1) return 0;
     const int own = pairs_[q].impacts;
-    const auto others = [&](int i) { return motion_.Moves(i) ? motion_.disc(i).impacts - own : 0; };
+    const auto others = [&](int i) { return motion_.IsMovable(i) ? motion_.disc(i).impacts - own : 0; };
     return std::min(own, others(c.a) + (c.plane ? 0 : others(c.b)));
   }
 
   const StepInput<T>& in_;
   const EventMotion<T, kRotation>& motion_;
   std::pmr::vector<EventPair> pairs_;
-  std::pmr::vector<int> at_once_;  // pairs, of FirstAtOnce
+  std::pmr::vector<int> at_once_;  // pairs, of FirstSimultaneous
   const double limit_;             // s; later events are left to the next step
 };
 

@@ -156,7 +156,7 @@ class ForceRows {
       constant = constant && row.violation.place() == 0;
     }
     if (constant) return;
-    Tape::OfThread().AddMap(violations, forces, [system](std::span<const double> outputs, std::span<double> inputs) {
+    Tape::ThreadTape().AddMap(violations, forces, [system](std::span<const double> outputs, std::span<double> inputs) {
       std::copy(outputs.begin(), outputs.end(), inputs.begin());
       system->SolveTransposed(inputs);
       for (double& input : inputs) input = -input;

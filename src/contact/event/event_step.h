@@ -43,7 +43,7 @@ class EventStep {
   EventStep(const EventStep&) = delete;  // its parts refer to each other
   EventStep& operator=(const EventStep&) = delete;
 
-  bool AnythingMayHappen() const { return motion_.AnythingMayHappen(); }
+  bool MayHaveContact() const { return motion_.MayHaveContact(); }
 
   // Whether the step is to be taken by time-stepping instead (event_fallback.h). Then it has reported nothing.
   bool FallsBack() const {
@@ -58,19 +58,19 @@ class EventStep {
   [[gnu::noinline]] void Run() {
     for (int q = 0; in_.num_pockets > 0 && q < motion_.num_pairs(); ++q) {
       const Candidate& c = motion_.CandidateOf(q);
-      if (motion_.LiesIn(c) && !motion_.IsOut(c)) changes_.TakeOut(q, {motion_.PocketTime(c, 0)});
+      if (motion_.IsInPocket(c) && !motion_.IsPocketed(c)) changes_.PocketDisc(q, {motion_.PocketTime(c, 0)});
     }
     for (int i = 0; in_.table >= 0 && i < motion_.num_discs(); ++i) changes_.Slide(i);
     queue_.PredictAll();
     for (int count = 0; count < kMaxEvents; ++count) {
       int q = queue_.NextPair();
       if (q < 0) return Finish();
-      q = queue_.FirstAtOnce(q);
+      q = queue_.FirstSimultaneous(q);
       if (const auto cut = sub_steps_.CutBy(q)) {
         const auto& disc = motion_.disc(cut->disc);
-        Settle(cut->pair, Instant<T>{disc.t, disc.event}, queue_.EventTime(q));
+        FindContactForces(cut->pair, Instant<T>{disc.t, disc.event}, queue_.EventTime(q));
       } else {
-        Resolve(q, changes_.NewEvent());
+        ProcessEvent(q, changes_.NewEvent());
       }
       if (changes_.failed()) return;
       queue_.PredictDirty();
@@ -82,7 +82,7 @@ class EventStep {
 
   // Whether an event changed disc i, and if so its state at the end of the step (not a number if the step has failed).
   // A disc that was only examined, because of others, flies freely.
-  bool Moved(int i) const { return motion_.disc(i).moved && (motion_.disc(i).reported || changes_.failed()); }
+  bool HasMoved(int i) const { return motion_.disc(i).moved && (motion_.disc(i).reported || changes_.failed()); }
   State End(int i) const {
     const auto& disc = motion_.disc(i);
     const T end(changes_.failed() ? std::numeric_limits<double>::quiet_NaN() : in_.h);
@@ -99,23 +99,23 @@ class EventStep {
   using Group = EventGroup<T, kRotation>;
 
   // Processes the next event of pair q.
-  void Resolve(int q, int event) {
+  void ProcessEvent(int q, int event) {
     const Candidate& c = motion_.CandidateOf(q);
     const double time = queue_.pair(q).next;
     if (motion_.IsTable(c)) return changes_.Stop(c.a, event);
-    if (motion_.IsPocket(c)) return changes_.TakeOut(q, {queue_.EventTime(q), event});
+    if (motion_.IsPocket(c)) return changes_.PocketDisc(q, {queue_.EventTime(q), event});
     if (queue_.pair(q).state == PairState::kLeaving) return changes_.Release(c.a, {queue_.EventTime(q), event});
-    if (queue_.pair(q).closed()) return Settle(q, {queue_.EventTime(q), event}, T(kNever));
+    if (queue_.pair(q).closed()) return FindContactForces(q, {queue_.EventTime(q), event}, T(kNever));
     const Approach approach = motion_.ApproachAt(c, time);
     if (approach.speed < -queue_.SlowSpeed(q, time)) {
-      const bool pressed = approach.PushedTogether() && motion_.TouchesAlone(q, time);
-      if (!ties_.Resolve(q, time)) changes_.Impact(q, {motion_.ImpactTime(c, time), event}, pressed);
+      const bool pressed = approach.HasClosingForce() && motion_.TouchesAlone(q, time);
+      if (!ties_.ProcessTie(q, time)) changes_.Impact(q, {motion_.ImpactTime(c, time), event}, pressed);
       return;
     }
     const Instant<T> at{motion_.SlowTime(c, time, approach), event};
     // Within a pile, taking the speed of one pair away makes the next close, without end: the group is settled at once.
-    if (approach.PushedTogether() || (!approach.Grazing() && !motion_.TouchesAlone(q, time))) {
-      return Settle(q, at, T(kNever));
+    if (approach.HasClosingForce() || (!approach.Grazing() && !motion_.TouchesAlone(q, time))) {
+      return FindContactForces(q, at, T(kNever));
     }
     changes_.Report(c, ContactMode::kFrictionless, at.time, ContactKind::kGrazing);
     if (approach.Grazing()) return queue_.Pass(q, approach);  // the motion does not change
@@ -125,11 +125,11 @@ class EventStep {
   // Finds the contact forces, at an instant, of all pairs that touch and are connected with pair q through discs, and
   // the accelerations from then on: for discs that move around each other until `latest` at most. The instant may be
   // that of an earlier event, whose sub-step begins again.
-  void Settle(int q, const Instant<T>& at, const T& latest) {
+  void FindContactForces(int q, const Instant<T>& at, const T& latest) {
     if (in_.table >= 0) return changes_.Fail("discs have active contacts with each other while they slide on a table");
     group_.Clear();
-    Join(q, at);
-    while (Grow(at)) continue;
+    AddPair(q, at);
+    while (AddConnectedPairs(at)) continue;
     if (changes_.MayFallBack() && group_.contacts().size() >= std::size_t{kManyDiscs} &&
         ++large_groups_ > kMostLargeGroups) {
       return changes_.Fail("contact groups without end");
@@ -138,17 +138,17 @@ class EventStep {
       return changes_.Fail("the forces of contacts at rest are not found");
     }
     const double sub_step = sub_steps_.SetMotion(at.time, latest);
-    for (const auto& contact : group_.contacts()) Hold(contact, at, sub_step);
+    for (const auto& contact : group_.contacts()) UpdatePair(contact, at, sub_step);
   }
 
-  void Join(int q, const Instant<T>& at) {
+  void AddPair(int q, const Instant<T>& at) {
     const Candidate& c = motion_.CandidateOf(q);
     if (!group_.HasDisc(c.a)) changes_.Release(c.a, at);
     if (!c.plane && !group_.HasDisc(c.b)) changes_.Release(c.b, at);
     group_.Add(q, queue_.pair(q).turns);
   }
   // Adds the pairs that touch a disc of the group. Returns whether there are any.
-  bool Grow(const Instant<T>& at) {
+  bool AddConnectedPairs(const Instant<T>& at) {
     bool grows = false;
     const double time = Value(at.time);
     for (int q = 0; q < motion_.num_pairs(); ++q) {
@@ -157,14 +157,14 @@ class EventStep {
       if (Value(motion_.LastTime(c)) > time) continue;  // the sub-step of the group begins again, before that
       const bool drifted = queue_.pair(q).turns && queue_.pair(q).released == at.event;
       if (!drifted && !motion_.ApproachAt(c, time).Touching(queue_.SlowSpeed(q, time))) continue;
-      Join(q, at);
+      AddPair(q, at);
       grows = true;
     }
     return grows;
   }
 
   // Sets the state of a pair whose group has been settled, and its next event: `sub_step` is 0 if there is no end.
-  void Hold(const typename Group::Contact& contact, const Instant<T>& at, double sub_step) {
+  void UpdatePair(const typename Group::Contact& contact, const Instant<T>& at, double sub_step) {
     const Candidate& c = motion_.CandidateOf(contact.pair);
     EventPair& pair = queue_.pair(contact.pair);
     const bool curved = contact.closed && contact.Curved() && sub_step > 0;
@@ -210,7 +210,7 @@ class EventStep {
   void Finish() {
     CloseTurningPairs();
     if constexpr (std::is_same_v<T, double>) {
-      const std::string_view wrong = motion_.WhatIsWrong(changes_.pocketed_energy());
+      const std::string_view wrong = motion_.ReasonInconsistent(changes_.pocketed_energy());
       if (!wrong.empty()) changes_.Fail(wrong);
     }
   }
@@ -219,21 +219,21 @@ class EventStep {
     for (int q = 0; q < motion_.num_pairs(); ++q) {
       if (!queue_.pair(q).closed() || !queue_.pair(q).turns) continue;
       group_.Clear();
-      Gather(q, {T(in_.h), changes_.counts().events});
+      AdvanceGroup(q, {T(in_.h), changes_.counts().events});
       for (const auto& contact : group_.contacts()) queue_.pair(contact.pair).turns = false;
       group_.ProjectPositions();
       group_.ProjectVelocities();
     }
   }
   // Moves all discs in closed contact with those of pair q to an instant.
-  void Gather(int q, const Instant<T>& at) {
+  void AdvanceGroup(int q, const Instant<T>& at) {
     const EventPair& pair = queue_.pair(q);
     if (!pair.closed() || group_.Contains(q)) return;
     const Candidate& c = motion_.CandidateOf(q);
     changes_.MoveTo(c.a, at);
     if (!c.plane) changes_.MoveTo(c.b, at);
     group_.AddClosed(q, static_cast<ContactMode>(pair.reported_mode), pair.turns);
-    motion_.ForEachPairBeside(c, [&](int other) { Gather(other, at); });
+    motion_.ForEachPairBeside(c, [&](int other) { AdvanceGroup(other, at); });
   }
 
   const StepInput<T>& in_;

@@ -72,7 +72,7 @@ class SubSteps {
     const Candidate& c = motion_.CandidateOf(q);
     const double end = queue_.pair(q).next;
     for (int i : {c.a, c.b}) {
-      if ((i == c.b && c.plane) || !motion_.Moves(i)) continue;
+      if ((i == c.b && c.plane) || !motion_.IsMovable(i)) continue;
       const auto& disc = motion_.disc(i);
       const double start = Value(disc.t), length = disc.sub_step_end - start;
       if (disc.curve != nullptr || length == kNever || disc.sub_step_end - end <= kSubStepEnd * length ||
@@ -109,7 +109,7 @@ class SubSteps {
     for (const auto& contact : group_.contacts()) {
       if (!contact.closed || !contact.Curved()) continue;
       const Candidate& c = motion_.CandidateOf(contact.pair);
-      const double distance = std::abs(Value(TurningDistance(in_, c, T(in_.ContactDistance(c)))));
+      const double distance = std::abs(Value(CurvatureRadius(in_, c, T(in_.ContactDistance(c)))));
       const double speed = group_.PassingSpeed(contact) / distance, change = group_.PassingAcceleration(contact);
       if (contact.mode == ContactMode::kSlip && speed == 0 && change == 0) continue;  // it is about to slide only
       // Where contacts do not move, small disturbances do, at the rate of a pendulum.
@@ -118,16 +118,16 @@ class SubSteps {
     }
     if (turns < 0 || left <= 0) return 0;
     double length = left / std::max(1.0, std::ceil(turns / kLongestTurn));
-    const double at_start = group_.LeftInMode() + kBeyondModeEnd;
+    const double at_start = group_.ModeMargin() + kBeyondModeEnd;
     group_.SetCurves(length);
     while (Overlaps(time, length)) group_.SetCurves(length *= 0.5);
     // Forces do not jump where a contact mode ends, so derivatives only need a sub-step that ends there: just beyond
     // it. Not again and again where forces that are not unique stay at the end of a mode.
     const auto left_after = [&](double s) {
       group_.SetCurves(s);
-      return group_.LeftInMode() + kBeyondModeEnd;
+      return group_.ModeMargin() + kBeyondModeEnd;
     };
-    const double at_end = group_.LeftInMode() + kBeyondModeEnd;
+    const double at_end = group_.ModeMargin() + kBeyondModeEnd;
     const bool cut = at_end < 0 && at_start > 0 && cuts_ < kMostSubStepCuts;
     if (cut) length = FindZero(0.0, at_start, length, at_end, 0.5 * kBeyondModeEnd, left_after);
     cuts_ = cut ? cuts_ + 1 : 0;
@@ -141,7 +141,7 @@ class SubSteps {
       if (!contact.closed || !contact.Curved()) continue;
       curved = true;  // even if it does not turn, its derivative does
       const Candidate& c = motion_.CandidateOf(contact.pair);
-      const double distance = std::abs(Value(TurningDistance(in_, c, T(in_.ContactDistance(c)))));
+      const double distance = std::abs(Value(CurvatureRadius(in_, c, T(in_.ContactDistance(c)))));
       step =
           std::min(step, LongestSubStep(distance, group_.PassingSpeed(contact), group_.PassingAcceleration(contact)));
     }

@@ -32,7 +32,7 @@ namespace internal {
 // Whether a pair meets at the time of an impact: its gap is at most kTieGap of its contact distance and closes (or has
 // opened) within kTieTime of the step; or it touches already. distance: at which the two touch, m; size: of the
 // coordinates of the discs, m.
-inline bool MeetsNow(const Approach& approach, double distance, double size, double h) {
+inline bool IsTied(const Approach& approach, double distance, double size, double h) {
   if (approach.Touching() || approach.gap <= kTieRounding * size) return true;
   return approach.gap <= kTieGap * distance && approach.gap <= kTieTime * h * std::abs(approach.speed);
 }
@@ -47,7 +47,7 @@ class EventTies {
 
   // Looks for other contacts that meet at the time of pair q's impact, and reports them if their order matters. Returns
   // true if it has taken the impacts, in the order that was asked for.
-  bool Resolve(int q, double time) {
+  bool ProcessTie(int q, double time) {
     if (motion_.num_pairs() < 2 || (in_.ties == nullptr && in_.tie_order == 0)) return false;
     if (time - queue_.pair(q).tied <= kTieTime * in_.h) return false;
     Find(q, time);
@@ -80,7 +80,7 @@ class EventTies {
       motion_.ForEachPairBeside(motion_.CandidateOf(tied_[k]), [&](int r) {
         const Candidate& d = motion_.CandidateOf(r);
         if (std::ranges::find(tied_, r) != tied_.end()) return;
-        if (MeetsNow(motion_.ApproachAt(d, time), in_.ContactDistance(d), motion_.SizeAt(d, time), in_.h)) {
+        if (IsTied(motion_.ApproachAt(d, time), in_.ContactDistance(d), motion_.SizeAt(d, time), in_.h)) {
           tied_.push_back(r);
         }
       });

@@ -72,13 +72,13 @@ struct NeuralEvent : LearnedModel {
   NeuralEvent(ImpactLaw learned, int first_parameter, const Units& units)
       : LearnedModel(first_parameter, units), law(std::make_shared<const ImpactLaw>(std::move(learned))) {}
 
-  static std::string WhyNot(const Scene& scene) { return EventDriven::WhyNot(scene); }
+  static std::string ReasonNotApplicable(const Scene& scene) { return EventDriven::ReasonNotApplicable(scene); }
 
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     if (in.candidates.empty()) return FreeFlight(*this, in, x, next);
     StepInput<T> at_rest = in;
-    const PairConstants<T> numbers = At(in, T(0.0), T(0.0));
+    const PairConstants<T> numbers = LawAt(in, T(0.0), T(0.0));
     at_rest.contact.restitution = numbers.restitution;
     at_rest.contact.friction = numbers.friction;
     internal::TakeEventStep(*this, at_rest, SpeedLaw<T>{*this, in}, x, next);
@@ -91,15 +91,15 @@ struct NeuralEvent : LearnedModel {
   struct SpeedLaw {
     const NeuralEvent& model;
     const StepInput<T>& in;
-    PairConstants<T> At(const Candidate& /*c*/, const Vec2<T>& normal, const Vec2<T>& w) const {
+    PairConstants<T> LawAt(const Candidate& /*c*/, const Vec2<T>& normal, const Vec2<T>& w) const {
       const T sliding = Dot(Perpendicular(normal), w);
-      return model.At(in, T(-Dot(normal, w)), Value(sliding) < 0 ? T(-sliding) : sliding);
+      return model.LawAt(in, T(-Dot(normal, w)), Value(sliding) < 0 ? T(-sliding) : sliding);
     }
   };
 
   // Returns restitution and friction at the given speeds, which are in the units of the step.
   template <typename T>
-  PairConstants<T> At(const StepInput<T>& in, const T& speed, const T& sliding) const {
+  PairConstants<T> LawAt(const StepInput<T>& in, const T& speed, const T& sliding) const {
     const std::size_t count = law->parameters.size();
     const double speed_unit = unit.speed();
     const double speeds[2] = {Value(speed) * speed_unit, Value(sliding) * speed_unit};
@@ -148,7 +148,7 @@ struct LearnedEvents : LearnedModel {
   LearnedEvents(EventFunctions learned, int first_parameter, const Units& units)
       : LearnedModel(first_parameter, units), events(std::make_shared<const EventFunctions>(std::move(learned))) {}
 
-  static std::string WhyNot(const Scene& scene) {
+  static std::string ReasonNotApplicable(const Scene& scene) {
     if (scene.table || scene.HasEdges() || !scene.pockets.empty()) {
       return "walls that end, pockets, or a table: event functions are those of planes";
     }
@@ -158,7 +158,7 @@ struct LearnedEvents : LearnedModel {
   template <typename T>
   void Step(const StepInput<T>& in, std::span<const State<T>> x, std::span<State<T>> next) const {
     if (in.candidates.empty()) return FreeFlight(*this, in, x, next);
-    Run<T>(*this, in, x).Into(next);
+    Run<T>(*this, in, x).CopyStates(next);
   }
 
   std::shared_ptr<const EventFunctions> events;
@@ -174,7 +174,7 @@ struct LearnedEvents : LearnedModel {
       }
     }
 
-    void Into(std::span<State<T>> next) {
+    void CopyStates(std::span<State<T>> next) {
       int count = 0;
       while (count <= kMostEvents && TakeNext()) ++count;
       if (count > kMostEvents) in_.Fail("impacts accumulate: learned events do not support sustained contacts");
@@ -211,13 +211,13 @@ struct LearnedEvents : LearnedModel {
       return true;
     }
 
-    double Since(const Candidate& c) const {
+    double PairTime(const Candidate& c) const {
       return c.plane ? Value(discs_[c.a].t) : std::max(Value(discs_[c.a].t), Value(discs_[c.b].t));
     }
 
     // Returns when the event function falls to zero for the first time, kNever if it does not.
     double TimeOf(const Candidate& c) const {
-      const double since = Since(c);
+      const double since = PairTime(c);
       const Rate now = RateAt(c, since);
       if (now.value <= 0 && now.slope <= 0) return since;
       double low = since;

@@ -54,7 +54,7 @@ struct Profile {
   int first, width;
 
   template <typename T>
-  void At(const T* disc, const T* parameters, T* height, T* slope) const {
+  void ProfileAt(const T* disc, const T* parameters, T* height, T* slope) const {
     const T* w = parameters + first;
     const Vec2d along = Perpendicular(normal);
     const T s = ((disc[0] - point[0]) * along[0] + (disc[1] - point[1]) * along[1]) / length;
@@ -74,7 +74,7 @@ struct ProfileGap {
   bool operator()(T const* const* blocks, T* gap) const {
     const T* disc = blocks[0];
     T height, slope;
-    profile.At(disc, blocks[1], &height, &slope);
+    profile.ProfileAt(disc, blocks[1], &height, &slope);
     const Vec2d& n = profile.normal;
     gap[0] = n[0] * (disc[0] - profile.point[0]) + n[1] * (disc[1] - profile.point[1]) - disc[4] - height;
     return true;
@@ -88,7 +88,7 @@ struct ProfileUpdate {
   bool operator()(T const* const* blocks, T* after) const {
     const T *disc = blocks[0], *rest = blocks[1] + profile.first + 3 * profile.width + 1;
     T height, slope;
-    profile.At(disc, blocks[1], &height, &slope);
+    profile.ProfileAt(disc, blocks[1], &height, &slope);
     const Vec2d& n = profile.normal;
     const Vec2d along = Perpendicular(n);
     const T length = sqrt(1.0 + slope * slope);
@@ -109,7 +109,7 @@ struct ProfileUpdate {
 
 }  // namespace
 
-std::string WhatIsWrongWith(const EventFunctions& events, const Scene& scene) {
+std::string Validate(const EventFunctions& events, const Scene& scene) {
   const auto wrong = [&](const std::string& what) { return events.name + ": " + what; };
   if (events.planes.size() != scene.planes.size()) {
     return wrong("found functions of " + std::to_string(events.planes.size()) + " planes, expected of " +
@@ -181,13 +181,13 @@ EventFunctions ProfileEvents(const Scene& scene, int width) {
   return events;
 }
 
-EventAt EvaluateEvents(const EventFunctions& events, int plane, const Vec2d& position, const Vec2d& velocity,
-                       double radius) {
+EventValues EvaluateEvents(const EventFunctions& events, int plane, const Vec2d& position, const Vec2d& velocity,
+                           double radius) {
   const double disc[kOfDisc] = {position[0], position[1], velocity[0], velocity[1], radius};
   const double* blocks[2] = {disc, events.parameters.data()};
   double by_disc[kOfDisc];
   double* jacobians[2] = {by_disc, nullptr};
-  EventAt at;
+  EventValues at;
   const EventFunctions::Plane& of = events.planes[plane];
   if (!of.event->Evaluate(blocks, &at.value, jacobians) || !of.update->Evaluate(blocks, at.after.data(), nullptr)) {
     at.value = std::nan("");

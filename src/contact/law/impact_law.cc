@@ -92,7 +92,7 @@ ImpactLaw MakeNetwork(const char* name, int width, int inputs, double speed, con
 
 bool ImpactLaw::HasFriction() const { return function->num_residuals() == 2; }
 
-std::string WhatIsWrongWith(const ImpactLaw& law) {
+std::string Validate(const ImpactLaw& law) {
   const auto wrong = [&](const std::string& what) { return law.name + ": " + what; };
   if (law.function == nullptr) return wrong("found no function");
   const std::vector<int>& blocks = law.function->parameter_block_sizes();
@@ -112,13 +112,13 @@ std::string WhatIsWrongWith(const ImpactLaw& law) {
   return "";
 }
 
-ImpactLawAt EvaluateLaw(const ImpactLaw& law, double speed, double sliding) {
+ImpactLawValues EvaluateLaw(const ImpactLaw& law, double speed, double sliding) {
   const double speeds[2] = {speed, sliding};
   const double* blocks[2] = {speeds, law.parameters.data()};
   const std::size_t count = law.parameters.size(), outputs = static_cast<std::size_t>(law.function->num_residuals());
   std::vector<double> value(outputs), slopes(outputs * count);
   double* jacobians[2] = {nullptr, slopes.data()};
-  ImpactLawAt at;
+  ImpactLawValues at;
   at.restitution = std::numeric_limits<double>::quiet_NaN();
   if (!law.function->Evaluate(blocks, value.data(), jacobians)) return at;
   if (!(value[0] >= 0 && value[0] <= 1) || (outputs == 2 && !(value[1] >= 0))) return at;

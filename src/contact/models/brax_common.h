@@ -56,9 +56,9 @@ T Torque(const Vec2<T>& arm, const Vec2<T>& force) {
 }
 
 // Returns the inverse moment of inertia: the scene's with `of_scene`, else that of the source, 1 / (kg m^2).
-template <bool of_scene, typename T>
+template <bool spins, typename T>
 auto InverseInertia(const BodyConstants<T>& body) {
-  if constexpr (of_scene) {
+  if constexpr (spins) {
     return body.inverse_inertia;
   } else {
     return Base<T>(body.fixed ? 0 : 1);
@@ -151,14 +151,14 @@ class Averages {
 
 // Adds the contributions of a contact between discs in the states x: `push` moves disc a, `grip` turns it; disc b gets
 // the opposite of both.
-template <bool of_scene, typename T, typename States>
+template <bool spins, typename T, typename States>
 void AddPush(const StepInput<T>& in, const Contact<T>& contact, const States& x, const Vec2<T>& push,
              const Vec2<T>& grip, Averages<T>* sums) {
   const auto add = [&](int disc, const Vec2<T>& moved, const Vec2<T>& gripped) {
     const Vec2<T> arm = contact.point - x[disc].p;
     sums->Add(disc,
               Scale(in.bodies[disc].inverse_mass, moved),
-              InverseInertia<of_scene>(in.bodies[disc]) * Torque(arm, gripped));
+              InverseInertia<spins>(in.bodies[disc]) * Torque(arm, gripped));
   };
   add(contact.candidate.a, push, grip);
   if (!contact.candidate.plane) add(contact.candidate.b, -push, -grip);

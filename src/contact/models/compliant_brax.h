@@ -25,7 +25,7 @@
 
 namespace saltus {
 
-template <bool kOfScene>
+template <bool kSpins>
 struct CompliantBraxIn {
   static constexpr ModelTraits kTraits = {.name = "compliant_brax",
                                           .summary = "velocity impulses averaged over contacts, two steps at a time",
@@ -38,8 +38,8 @@ struct CompliantBraxIn {
                                           .relative = true,
                                           .spins = true,
                                           .by_pair = true};
-  static constexpr int kRotation = kOfScene ? kSpin : 1;
-  static constexpr bool kLinearRotation = kOfScene;
+  static constexpr int kRotation = kSpins ? kSpin : 1;
+  static constexpr bool kLinearRotation = kSpins;
   template <typename T>
   using State = BodyState<T, kRotation>;
 
@@ -65,16 +65,16 @@ struct CompliantBraxIn {
     const H h = in.h / S(2);
     State<T> next = x;
     next.p += Scale(h, x.v);
-    if constexpr (kOfScene) next.rotation[0] += h * x.rotation[1];
+    if constexpr (kSpins) next.rotation[0] += h * x.rotation[1];
     next.v += Scale(h, in.Acceleration(i));
-    if constexpr (kOfScene) next.rotation[1] += h * in.AngularAcceleration(i);
+    if constexpr (kSpins) next.rotation[1] += h * in.AngularAcceleration(i);
     return next;
   }
 
   // Returns the spin with the sign of the source, positive clockwise.
   template <typename T>
   static T SpinOf(const State<T>& x) {
-    if constexpr (kOfScene) return -x.rotation[1];
+    if constexpr (kSpins) return -x.rotation[1];
     return x.rotation[0];
   }
 
@@ -99,13 +99,13 @@ struct CompliantBraxIn {
       const Vec2<T> tangential = relative - Scale(approach, contact.normal);
       const Vec2<T> impulse =
           Scale(normal_impulse, contact.normal) - Friction(in, c, normal_impulse, tangential, &mode);
-      brax::AddPush<kOfScene>(in, contact, x, impulse, impulse, &changes);
+      brax::AddPush<kSpins>(in, contact, x, impulse, impulse, &changes);
       if (!reported[i]) in.Report(c, mode);
       reported[i] = 1;
     }
     changes.ForEach(S(1e-8), [&](int disc, const Vec2<T>& dv, const T& dw) {
       x[disc].v += dv;
-      if constexpr (kOfScene) {
+      if constexpr (kSpins) {
         x[disc].rotation[1] -= dw;
       } else {
         x[disc].rotation[0] += dw;

@@ -16,7 +16,7 @@
 #include <memory_resource>
 #include <vector>
 
-#include "contact/models/turning.h"
+#include "contact/models/disc_rotation.h"
 #include "saltus/contact/contact_model.h"
 
 namespace saltus {

@@ -15,7 +15,7 @@
 #include <vector>
 
 #include "base/linear_algebra.h"
-#include "contact/models/turning.h"
+#include "contact/models/disc_rotation.h"
 #include "contact/solvers/lcp_solver.h"
 #include "saltus/contact/contact_model.h"
 
@@ -57,7 +57,7 @@ class ContactGroup {
 
   // Returns the relative velocity along a row when disc i has the twist twist(i).
   template <typename TwistOfDisc>
-  T Along(int row, const TwistOfDisc& twist) const {
+  T RowVelocity(int row, const TwistOfDisc& twist) const {
     const T along =
         Dot(Direction(row), RelativeVelocity<T>(candidate(row), [&](int i) -> Vec2<T> { return twist(i).v; }));
     if constexpr (kTurn == kSpin) {

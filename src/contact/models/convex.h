@@ -18,7 +18,7 @@
 // Extended beyond them: masses, fixed discs, friction between discs.
 #pragma once
 
-#include "contact/models/turning.h"
+#include "contact/models/disc_rotation.h"
 #include "saltus/contact/contact_model.h"
 
 namespace saltus {

@@ -12,7 +12,7 @@
 // Friction is not defined. Momentum is conserved; normal velocities separate with restitution e exactly.
 #pragma once
 
-#include "contact/models/turning.h"
+#include "contact/models/disc_rotation.h"
 #include "saltus/contact/contact_model.h"
 
 namespace saltus {

@@ -67,7 +67,7 @@ struct DualDescentOf : SpringDescent<kTurn> {
     T normal, tangential;                       // N
     Vec2<T> applied = Vec2<T>(T(0.0), T(0.0));  // l n + s t
 
-    bool SameAs(const Forces& other) const {
+    bool HasSameForces(const Forces& other) const {
       return SameNumbers(normal, other.normal) && SameNumbers(tangential, other.tangential) &&
              SameNumbers(applied[0], other.applied[0]) && SameNumbers(applied[1], other.applied[1]);
     }
@@ -87,7 +87,7 @@ struct DualDescentOf : SpringDescent<kTurn> {
         touched[c] = 1;
         const Forces<T> before = forces[c];
         const Vec2<T> change = Update(problem, side, at, &forces[c]);
-        any = any || !before.SameAs(forces[c]);
+        any = any || !before.HasSameForces(forces[c]);
         problem.Apply(side, change, [&](int disc, const Vec2<T>& by) {
           for (int j = 0; j < 2; ++j) z[Problem<T>::kUnknowns * disc + j] += by[j];
         });
@@ -103,8 +103,8 @@ struct DualDescentOf : SpringDescent<kTurn> {
 
   // Updates the forces of a contact by one iteration; returns the change of the force on disc a, N.
   template <typename T>
-  Vec2<T> Update(const Problem<T>& problem, const typename Problem<T>::Side& side, const typename Problem<T>::At& at,
-                 Forces<T>* forces) const {
+  Vec2<T> Update(const Problem<T>& problem, const typename Problem<T>::Side& side,
+                 const typename Problem<T>::ContactPoint& at, Forces<T>* forces) const {
     const Forces<T> before = *forces;
     T mobility = problem.discs[side.a].inverse_mass;
     if (side.b >= 0) mobility += problem.discs[side.b].inverse_mass;

@@ -107,7 +107,7 @@ bool StaysBeyondRange(const Energy& energy) {
   return true;
 }
 
-std::string WhyNoBarrier(const Scene& scene) {
+std::string UnsupportedByBarrier(const Scene& scene) {
   if (scene.HasEdges())
     return "walls end: this model keeps gaps open within a step to what is nearest at its start only";
   if (scene.HasPaths()) return "prescribed motions: what moves whatever it meets leaves no gap for a barrier";

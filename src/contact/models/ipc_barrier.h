@@ -160,7 +160,7 @@ struct BarrierEnergy {
 bool MinimizeBarrierEnergy(const BarrierEnergy<double>& energy, Eigen::VectorXd* x);
 
 // Returns the reason why a barrier cannot be used in a scene (bodies touch at the start); empty if it can.
-std::string WhyNoBarrier(const Scene& scene);
+std::string UnsupportedByBarrier(const Scene& scene);
 
 // Whether no pair comes within `range` of contact on the straight line from q to the targets.
 bool StaysBeyondRange(const BarrierEnergy<double>& energy);
@@ -206,7 +206,7 @@ struct IpcBarrierOf {
   }
 
   // Bodies that touch from the start have no gap to keep.
-  static std::string WhyNot(const Scene& scene) { return internal::WhyNoBarrier(scene); }
+  static std::string ReasonNotApplicable(const Scene& scene) { return internal::UnsupportedByBarrier(scene); }
 
   template <typename T, typename H>
   State<T> Free(const StepInput<T, H>& in, int i, const State<T>& x) const {
@@ -262,7 +262,7 @@ struct IpcBarrierOf {
     Report(in, group, values, x, reported);
     Eigen::MatrixXd hessian;
     if constexpr (!std::is_same_v<T, double>) hessian = LinearizeByUnknowns(values, x).jacobian;
-    const std::vector<T> solution = CorrectInT(energy, x, hessian);
+    const std::vector<T> solution = DifferentiableCorrection(energy, x, hessian);
     const double h = SubstepLength(in);
     for (std::size_t i = 0; i < members.discs.size(); ++i) {
       const int disc = members.discs[i], unknown = energy.discs[i].unknown;

@@ -223,7 +223,7 @@ void LcpOf<kTurn>::LinearizeGroup(const StepInput<double>& in, std::span<const S
     const int i = solution.clamping[k];
     const Vec2d tangent = Perpendicular(group[group[i].normal].direction);
     direction.col(k) = RowDirection<kMaxRows>(in, dofs, group[i]);
-    const double distance = TurningDistance(in, group[i].candidate, group[i].distance);
+    const double distance = CurvatureRadius(in, group[i].candidate, group[i].distance);
     turning[k] = TurningOfDirection<kMaxRows>(dofs, group[i].candidate, group[i].direction, tangent, distance);
     caused.col(k) = direction.col(k);
     caused_turning[k] = turning[k];

@@ -275,7 +275,7 @@ struct LcpOf : ExplicitFlight<kTurn> {
     if constexpr (kTurn == kSpin) {
       for (size_t i = 0; i < group.size(); ++i) {
         if (!group[i].tangent) continue;
-        ApplyTurn(in, group[i].candidate, x[i], [&](int disc, const T& dw) { next[disc].rotation[1] += dw; });
+        ApplyAngularImpulse(in, group[i].candidate, x[i], [&](int disc, const T& dw) { next[disc].rotation[1] += dw; });
       }
     }
   }

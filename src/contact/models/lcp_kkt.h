@@ -225,7 +225,7 @@ struct LcpKktOf : SemiImplicitFlight<kTurn> {
           values.transposed = released_backward;
           jacobian = LinearizeByUnknowns(values, z).jacobian;
         }
-        TakeVelocities<T>(in, members, CorrectInT(equations, z, jacobian), velocity);
+        TakeVelocities<T>(in, members, DifferentiableCorrection(equations, z, jacobian), velocity);
       }
       for (std::size_t i = 0; i < members.discs.size(); ++i) {
         State<T>& disc = x[members.discs[i]];

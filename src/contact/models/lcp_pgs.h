@@ -113,7 +113,7 @@ struct LcpPgsOf : SemiImplicitFlight<kTurn> {
     for (const Group<T>& group : groups) {
       std::pmr::vector<T> b(in.scratch);
       for (int row = 0; row < group.size(); ++row) {
-        const T speed = group.Along(row, [&](int i) { return TwistOf(next[i]); });
+        const T speed = group.RowVelocity(row, [&](int i) { return TwistOf(next[i]); });
         b.push_back(group.IsNormal(row) ? T(-(in.ContactOf(group.candidate(row)).restitution + 1.0) * speed -
                                             Divide(T(erp * group.contact(row).gap), in.h))
                                         : T(-speed));

@@ -238,7 +238,7 @@ struct NcpOf : SemiImplicitFlight<kTurn> {
     if constexpr (!std::is_same_v<T, double>) {
       if (kappa_grad > kappa) z = solve_at(kappa_grad);
       values.kappa = std::max(kappa, kappa_grad);
-      const std::vector<T> corrected = CorrectInT(equations, z, LinearizeByUnknowns(values, z).jacobian);
+      const std::vector<T> corrected = DifferentiableCorrection(equations, z, LinearizeByUnknowns(values, z).jacobian);
       for (int i = 0; i < z.size(); ++i) solution[i].v = corrected[i].v;
     }
     for (std::size_t i = 0; i < members.discs.size(); ++i) {

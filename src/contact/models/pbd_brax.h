@@ -36,7 +36,7 @@
 
 namespace saltus {
 
-template <bool kOfScene>
+template <bool kSpins>
 struct PbdBraxIn {
   static constexpr ModelTraits kTraits = {.name = "pbd_brax",
                                           .summary = "position-based dynamics, contacts in every second step",
@@ -113,7 +113,7 @@ struct PbdBraxIn {
     next.v += Scale(h, in.Acceleration(i));
     for (int j = 0; j < 2; ++j) next.p[j] = FusedMultiplyAdd(h, next.v[j], x.p[j]);
     T spin = x.rotation[0];
-    if constexpr (kOfScene) spin -= h * in.AngularAcceleration(i);
+    if constexpr (kSpins) spin -= h * in.AngularAcceleration(i);
     const T half_turn = (h / S(2)) * spin;
     next.rotation[1] -= half_turn * x.rotation[2];
     next.rotation[2] += half_turn * x.rotation[1];
@@ -153,7 +153,7 @@ struct PbdBraxIn {
   template <typename T>
   static T PointMobility(const StepInput<T>& in, int disc, const Vec2<T>& arm, const Vec2<T>& direction) {
     const T lever = brax::Torque(arm, direction);
-    return in.bodies[disc].inverse_mass + brax::InverseInertia<kOfScene>(in.bodies[disc]) * (lever * lever);
+    return in.bodies[disc].inverse_mass + brax::InverseInertia<kSpins>(in.bodies[disc]) * (lever * lever);
   }
   // Returns W of both sides at the point of contact.
   template <typename T>
@@ -184,8 +184,8 @@ struct PbdBraxIn {
 
   // Returns the displacement since `old` of the material point of disc i at the point of contact, m.
   template <typename T>
-  static Vec2<T> WayOfPoint(const brax::Contact<T>& contact, int i, std::span<const State<T>> old,
-                            std::span<const State<T>> x) {
+  static Vec2<T> PointDisplacement(const brax::Contact<T>& contact, int i, std::span<const State<T>> old,
+                                   std::span<const State<T>> x) {
     const Vec2<T> arm = Rotate(Vec2<T>(contact.point - x[i].p), x[i], true);
     return contact.point - (old[i].p + Rotate(arm, old[i], false));
   }
@@ -201,7 +201,7 @@ struct PbdBraxIn {
       const T friction = in.ContactOf(c).friction * in.ContactOf(c).friction;
       Vec2<T> push = Scale(touching.lambda, contact.normal);
 
-      const Vec2<T> way = RelativeVelocity<T>(c, [&](int i) { return WayOfPoint<T>(contact, i, old, x); });
+      const Vec2<T> way = RelativeVelocity<T>(c, [&](int i) { return PointDisplacement<T>(contact, i, old, x); });
       const Vec2<T> slide = Tangential(way, contact.normal);
       const T length = brax::Norm(slide);
       const Vec2<T> tangent = brax::Direction(slide, length);
@@ -212,7 +212,7 @@ struct PbdBraxIn {
       if (holds) grip = Scale(T(-hold), tangent);
       push += grip;
       if (friction > S(0)) touching.mode = holds ? ContactMode::kStick : ContactMode::kSlip;
-      brax::AddPush<kOfScene>(in, contact, x, push, grip, &moves);
+      brax::AddPush<kSpins>(in, contact, x, push, grip, &moves);
     }
     moves.ForEach(S(brax::kEpsilon), [&](int disc, const Vec2<T>& dp, const T& turn) {
       State<T>& body = x[disc];
@@ -241,7 +241,7 @@ struct PbdBraxIn {
       const T before = Dot(contact.normal, velocity_in(unprojected));
       const Vec2<T> impulse = Restitution<T>(in, x, contact, Dot(contact.normal, velocity), before) -
                               Friction<T>(in, x, Tangential(velocity, contact.normal), &touching);
-      brax::AddPush<kOfScene>(in, contact, x, impulse, impulse, &changes);
+      brax::AddPush<kSpins>(in, contact, x, impulse, impulse, &changes);
       in.Report(c, touching.mode);
     }
     changes.ForEach(S(brax::kEpsilon), [&](int disc, const Vec2<T>& dv, const T& dw) {

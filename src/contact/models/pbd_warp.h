@@ -25,7 +25,7 @@
 #include <memory_resource>
 #include <vector>
 
-#include "contact/models/turning.h"
+#include "contact/models/disc_rotation.h"
 #include "saltus/contact/contact_model.h"
 
 namespace saltus {
@@ -45,7 +45,7 @@ struct PbdWarpOf {
   template <typename T>
   using State = BodyState<T, kRotation>;
 
-  static std::string WhyNot(const Scene& scene) {
+  static std::string ReasonNotApplicable(const Scene& scene) {
     const bool slides = scene.HasEdges() && HasFriction(scene);
     return slides ? "friction with segments, polygons and arcs: its source has friction with planes only" : "";
   }

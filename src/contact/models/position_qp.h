@@ -72,7 +72,7 @@ struct PositionQpRule : SemiImplicitFlight<0> {
       pushing.Add(contacts[i]);
       values.push_back(found[i]);
       gaps.push_back(contacts[i].gap);
-      approach.push_back(pushing.Along(pushing.size() - 1, [&](int disc) { return TwistOf(next[disc]); }));
+      approach.push_back(pushing.RowVelocity(pushing.size() - 1, [&](int disc) { return TwistOf(next[disc]); }));
     }
     if (values.empty()) return;
     const Eigen::Map<const Eigen::VectorXd> multipliers(values.data(), values.size());
@@ -162,7 +162,7 @@ struct PositionQpRule : SemiImplicitFlight<0> {
     for (int i = 0; i < pushing.num_contacts(); ++i) {
       if (!(approach[i] < 0.0)) continue;
       closing.Add(pushing.contact(i));
-      const T speed = pushing.Along(i, [&](int disc) { return TwistOf(next[disc]); });
+      const T speed = pushing.RowVelocity(i, [&](int disc) { return TwistOf(next[disc]); });
       c.push_back(speed + in.ContactOf(pushing.contact(i).candidate).restitution * approach[i]);
       values.push_back(Value(c.back()));
     }

@@ -120,7 +120,7 @@ struct PrimalDescentOf : SpringDescent<kTurn> {
                           std::span<char> touched) {
     for (std::size_t c = 0; c < problem.contacts.size(); ++c) {
       const auto& side = problem.contacts[c];
-      const auto at = problem.Press(z, side);
+      const auto at = problem.EvaluateContact(z, side);
       if (!at.pressed) continue;
       touched[c] = 1;
       const T slope = problem.stiffness * (problem.exponent - 1) * Power(at.depth, problem.exponent - 2);
@@ -145,7 +145,8 @@ struct PrimalDescentOf : SpringDescent<kTurn> {
   }
 
   template <typename T>
-  static T Secant(const Problem<T>& problem, const typename Problem<T>::Side& side, const typename Problem<T>::At& at) {
+  static T Secant(const Problem<T>& problem, const typename Problem<T>::Side& side,
+                  const typename Problem<T>::ContactPoint& at) {
     if (!(side.friction > 0.0)) return T(0.0);
     if (at.sticks || at.sliding == 0.0) return T(problem.drag);
     return Divide(T(side.friction * at.force), SafeAbs(at.sliding));

@@ -93,9 +93,9 @@ struct QcqpOf : SemiImplicitFlight<kTurn> {
                                         std::span<const State<T>> flying) {
     std::pmr::vector<T> c(in.scratch);
     for (int row = 0; row < group.size(); ++row) {
-      c.push_back(group.Along(row, [&](int i) { return TwistOf(flying[i]); }));
+      c.push_back(group.RowVelocity(row, [&](int i) { return TwistOf(flying[i]); }));
       if (!group.IsNormal(row)) continue;
-      const T before = group.Along(row, [&](int i) { return TwistOf(x[i]); });
+      const T before = group.RowVelocity(row, [&](int i) { return TwistOf(x[i]); });
       if (before < 0.0) c.back() += in.ContactOf(group.candidate(row)).restitution * before;
     }
     return c;

@@ -22,7 +22,7 @@
 #include <vector>
 
 #include "base/power.h"
-#include "contact/models/turning.h"
+#include "contact/models/disc_rotation.h"
 #include "saltus/contact/contact_model.h"
 
 namespace saltus {

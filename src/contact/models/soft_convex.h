@@ -116,11 +116,11 @@ struct SoftConvexOf : SemiImplicitFlight<kTurn> {
       const T d = ImpedanceAt(T(-gap));
       const T coupling = group.Coupling(row, row), softness = Divide(T(S(1) - d), d);
       program.diagonal[row] = coupling + (row < n ? softness : Divide(softness, S(impratio))) * coupling;
-      const T speed = group.Along(row, [&](int i) { return TwistOf(x[i]); });
+      const T speed = group.RowVelocity(row, [&](int i) { return TwistOf(x[i]); });
       const T normal_damping = row >= n || damping >= 0 ? T(S(damping)) : DampingOf(in, group.candidate(row));
       T reference = -Divide(T((row < n ? normal_damping : sliding_damping) * speed), at_width);
       if (row < n) reference -= Divide(T(in.contact.stiffness * d * gap), S(at_width * at_width));
-      program.c[row] = group.Along(
+      program.c[row] = group.RowVelocity(
                            row, [&](int i) -> const auto& { return acceleration[i]; }) -
                        reference;
     }

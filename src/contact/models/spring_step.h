@@ -27,7 +27,7 @@
 #include <vector>
 
 #include "base/power.h"
-#include "contact/models/turning.h"
+#include "contact/models/disc_rotation.h"
 #include "contact/solvers/implicit.h"
 #include "saltus/contact/contact_model.h"
 
@@ -53,7 +53,7 @@ struct SpringStep {
     T friction;       // mu
   };
   // A contact at some velocities.
-  struct At {
+  struct ContactPoint {
     bool pressed = false;
     Vec2<T> normal, tangent;
     T depth;              // m
@@ -75,10 +75,10 @@ struct SpringStep {
   Vec2<T> PositionOf(std::span<const T> z, int disc) const { return discs[disc].q + Scale(h, VelocityOf(z, disc)); }
 
   // Returns the geometry of a contact at the velocities z, without forces.
-  At Locate(std::span<const T> z, const Side& side) const {
+  ContactPoint Locate(std::span<const T> z, const Side& side) const {
     const Separation<T> s = side.b < 0 ? Separate<T>(PositionOf(z, side.a), side.plane)
                                        : Separate<T>(PositionOf(z, side.a), PositionOf(z, side.b));
-    At at;
+    ContactPoint at;
     at.normal = s.normal;
     at.tangent = Perpendicular(s.normal);
     at.depth = side.touching - s.distance;
@@ -93,8 +93,8 @@ struct SpringStep {
     }
     return at;
   }
-  At Press(std::span<const T> z, const Side& side) const {
-    At at = Locate(z, side);
+  ContactPoint EvaluateContact(std::span<const T> z, const Side& side) const {
+    ContactPoint at = Locate(z, side);
     if (!at.pressed) return at;
     at.force = stiffness * Power(at.depth, exponent - 1);
     const T bound = side.friction * at.force;
@@ -111,7 +111,7 @@ struct SpringStep {
       if constexpr (kTurn == kSpin) F[at + 2] = z[at + 2] - discs[i].free_spin;
     }
     for (const Side& side : contacts) {
-      const At at = Press(z, side);
+      const ContactPoint at = EvaluateContact(z, side);
       if (!at.pressed) continue;
       const Vec2<T> push = Scale(at.force, at.normal) - Scale(at.friction, at.tangent);
       Apply(side, push, [&](int disc, const Vec2<T>& change) {
@@ -241,8 +241,8 @@ class SpringDescent : public SubstepFlight<kTurn, 10> {
           problem.discs[i].free_spin = next[i].rotation[1] + problem.h * in.AngularAcceleration(static_cast<int>(i));
         }
       }
-      const std::vector<T> z =
-          through ? Through(in, problem, descend, &touched) : AtEnd(in, problem, descend, &touched);
+      const std::vector<T> z = through ? DifferentiateThroughSteps(in, problem, descend, &touched)
+                                       : DifferentiateAtSolution(in, problem, descend, &touched);
       for (std::size_t i = 0; i < x.size(); ++i) {
         next[i].v = problem.VelocityOf(z, static_cast<int>(i));
         next[i].p = problem.PositionOf(z, static_cast<int>(i));
@@ -296,8 +296,8 @@ class SpringDescent : public SubstepFlight<kTurn, 10> {
   }
 
   template <typename T, typename Descend>
-  std::vector<T> Through(const StepInput<T>& in, const Problem<T>& problem, const Descend& descend,
-                         std::vector<char>* touched) const {
+  std::vector<T> DifferentiateThroughSteps(const StepInput<T>& in, const Problem<T>& problem, const Descend& descend,
+                                           std::vector<char>* touched) const {
     std::vector<T> z = Start(problem);
     std::fill(touched->begin(), touched->end(), 0);
     descend(problem, std::span<T>(z), std::span<char>(*touched));
@@ -338,8 +338,8 @@ class SpringDescent : public SubstepFlight<kTurn, 10> {
 
   // Returns the solution, found on values, with its derivative by one Newton correction.
   template <typename T, typename Descend>
-  std::vector<T> AtEnd(const StepInput<T>& in, const Problem<T>& problem, const Descend& descend,
-                       std::vector<char>* touched) const {
+  std::vector<T> DifferentiateAtSolution(const StepInput<T>& in, const Problem<T>& problem, const Descend& descend,
+                                         std::vector<char>* touched) const {
     const Problem<double> values = problem.template Cast<double>();
     const std::span<const double> found = in.Solved([&] {
       std::vector<double> z = Start(values);
@@ -355,7 +355,7 @@ class SpringDescent : public SubstepFlight<kTurn, 10> {
     const Eigen::VectorXd z = Eigen::Map<const Eigen::VectorXd>(found.data(), problem.size());
     Eigen::MatrixXd jacobian;
     if constexpr (!std::is_same_v<T, double>) jacobian = LinearizeByUnknowns(values, z).jacobian;
-    std::vector<T> solution = CorrectInT(problem, z, jacobian);
+    std::vector<T> solution = DifferentiableCorrection(problem, z, jacobian);
     Check<T>(in, found.back(), solution);
     return solution;
   }
@@ -367,7 +367,7 @@ class SpringDescent : public SubstepFlight<kTurn, 10> {
       if (!touched[i] || (*reported)[i]) continue;
       (*reported)[i] = 1;
       const auto& side = problem.contacts[i];
-      in.Report(in.candidates[i], ModeOf(side.friction > 0.0, problem.Press(z, side).sticks));
+      in.Report(in.candidates[i], ModeOf(side.friction > 0.0, problem.EvaluateContact(z, side).sticks));
     }
   }
 };

@@ -102,14 +102,14 @@ struct StaticLcp : SemiImplicitFlight<0> {
 
     // Calls visit(unknown of d_x, sign) for the discs of contact i that move.
     template <typename Visit>
-    void ForSides(std::size_t i, const Visit& visit) const {
+    void ForEachSide(std::size_t i, const Visit& visit) const {
       const Candidate& c = contacts[i].candidate;
       if (place[c.a] >= 0) visit(2 * place[c.a], 1.0);
       if (!c.plane && place[c.b] >= 0) visit(2 * place[c.b], -1.0);
     }
     // Calls visit(disc, sign) for those that are fixed, and may be on a path.
     template <typename Visit>
-    void ForFixed(const StepInput<T>& in, std::size_t i, const Visit& visit) const {
+    void ForEachFixedSide(const StepInput<T>& in, std::size_t i, const Visit& visit) const {
       const Candidate& c = contacts[i].candidate;
       if (in.bodies[c.a].fixed) visit(c.a, 1.0);
       if (!c.plane && in.bodies[c.b].fixed) visit(c.b, -1.0);
@@ -129,18 +129,18 @@ struct StaticLcp : SemiImplicitFlight<0> {
       const GapContact<T>& contact = rows.contacts[i];
       const Vec2<T> tangent = Perpendicular(contact.normal);
       T along = source_anchor ? T(0.0) : contact.gap, slid = T(0.0);
-      rows.ForSides(i, [&](int at, double sign) {
+      rows.ForEachSide(i, [&](int at, double sign) {
         along += sign * (contact.normal[0] * z[at] + contact.normal[1] * z[at + 1]);
         slid += sign * (tangent[0] * z[at] + tangent[1] * z[at + 1]);
       });
-      rows.ForFixed(in, i, [&](int disc, double sign) {
+      rows.ForEachFixedSide(in, i, [&](int disc, double sign) {
         along += sign * in.h * Dot(contact.normal, flying[disc].v);
         slid += sign * in.h * Dot(tangent, flying[disc].v);
       });
       const int normal = rows.NormalRow(i), tangential = rows.TangentRow(i);
       F[normal] = along;
       F[tangential] = slid - z[tangential] / omega;
-      rows.ForSides(i, [&](int at, double sign) {
+      rows.ForEachSide(i, [&](int at, double sign) {
         for (int j = 0; j < 2; ++j) F[at + j] += sign * (tangent[j] * z[tangential] - contact.normal[j] * z[normal]);
       });
     }
@@ -158,7 +158,7 @@ struct StaticLcp : SemiImplicitFlight<0> {
       const Vec2d n(Value(rows.contacts[i].normal[0]), Value(rows.contacts[i].normal[1])), t = Perpendicular(n);
       const int normal = rows.NormalRow(i), tangential = rows.TangentRow(i);
       K(tangential, tangential) = -1 / omega;
-      rows.ForSides(i, [&](int at, double sign) {
+      rows.ForEachSide(i, [&](int at, double sign) {
         K.block<1, 2>(normal, at) = sign * n.transpose();
         K.block<2, 1>(at, normal) = -sign * n;
         K.block<1, 2>(tangential, at) = sign * t.transpose();
@@ -204,11 +204,12 @@ struct StaticLcp : SemiImplicitFlight<0> {
       found.insert(found.end(), z.begin(), z.end());
       return found;
     }
-    return NoResult(in, x, std::move(found));
+    return FailToConverge(in, x, std::move(found));
   }
 
   template <typename T>
-  static std::vector<double> NoResult(const StepInput<T>& in, std::span<const State<T>> x, std::vector<double> found) {
+  static std::vector<double> FailToConverge(const StepInput<T>& in, std::span<const State<T>> x,
+                                            std::vector<double> found) {
     in.Fail("the set of active contacts does not converge within `rounds`: raise this option");
     if (std::count(found.begin(), found.end(), 0.0) == std::ptrdiff_t(found.size())) found[0] = 1;
     const Rows<T> rows(in, x, found);
@@ -241,7 +242,7 @@ struct StaticLcp : SemiImplicitFlight<0> {
     }
     for (Eigen::Index i = 0; i < num_contacts; ++i) {
       const Vec2d n(Value(rows.contacts[i].normal[0]), Value(rows.contacts[i].normal[1]));
-      rows.ForSides(i, [&](int at, double sign) {
+      rows.ForEachSide(i, [&](int at, double sign) {
         directions.block<2, 1>(at, i) = sign * n;
         directions.block<2, 1>(at, num_contacts + i) = sign * Perpendicular(n);
       });

@@ -17,7 +17,7 @@
 // Extended beyond the published script, which uses direct.h at planes: planes by the same rule, masses, fixed discs.
 #pragma once
 
-#include "contact/models/turning.h"
+#include "contact/models/disc_rotation.h"
 #include "saltus/contact/contact_model.h"
 
 namespace saltus {

@@ -26,7 +26,7 @@
 #include <memory_resource>
 #include <vector>
 
-#include "contact/models/turning.h"
+#include "contact/models/disc_rotation.h"
 #include "saltus/contact/contact_model.h"
 
 namespace saltus {
@@ -101,7 +101,7 @@ struct XpbdOf : SubstepFlight<kTurn, 10> {
 
   // Returns the displacement (and rotation) of a disc from one state to another.
   template <typename T>
-  static Twist<T, kTurn> Way(const State<T>& from, const State<T>& to) {
+  static Twist<T, kTurn> Displacement(const State<T>& from, const State<T>& to) {
     if constexpr (kTurn == kSpin) {
       return {to.p - from.p, to.rotation[0] - from.rotation[0]};
     } else {
@@ -130,7 +130,7 @@ struct XpbdOf : SubstepFlight<kTurn, 10> {
       if (in.ContactOf(c).friction > S(0)) {
         const Vec2<T> tangent = Perpendicular(at.normal);
         const Vec2<T> slid =
-            ContactVelocity<kTurn>(in, c, at.normal, [&](int disc) { return Way(old[disc], x[disc]); });
+            ContactVelocity<kTurn>(in, c, at.normal, [&](int disc) { return Displacement(old[disc], x[disc]); });
         const T resist = -Dot(tangent, slid) * SlidingMass<kTurn>(in, c);
         held = SafeAbs(resist) < in.ContactOf(c).friction * multiplier;
         if (held) PushContact<kTurn>(in, c, at.normal, Scale(resist, tangent), move);

@@ -67,10 +67,10 @@ ContactSystem::ContactSystem(std::span<const ContactRow> rows, std::span<const d
     renumber(row.b);
     symmetric_ = symmetric_ && row.measured == row.push;
   }
-  if (like != nullptr && IsLike(*like)) factors_ = like->factors_;
+  if (like != nullptr && HasSamePattern(*like)) factors_ = like->factors_;
 }
 
-bool ContactSystem::IsLike(const ContactSystem& other) const {
+bool ContactSystem::HasSamePattern(const ContactSystem& other) const {
   const auto near = [](const Vec2d& a, const Vec2d& b) { return (a - b).lpNorm<1>() <= internal::kSystemAlike; };
   const auto alike = [&](const ContactRow& r, const ContactRow& s) {
     return r.a == s.a && r.b == s.b && near(r.measured, s.measured) && near(r.push, s.push);

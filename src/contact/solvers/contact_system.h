@@ -52,7 +52,7 @@ class ContactSystem {
  private:
   struct Factors;
 
-  bool IsLike(const ContactSystem& other) const;
+  bool HasSamePattern(const ContactSystem& other) const;
   bool SolveAs(bool transposed, std::span<double> x) const;
   bool SolveSparse(bool transposed, std::span<double> x) const;
   void SolveDense(bool transposed, std::span<double> x) const;

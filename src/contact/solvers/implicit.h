@@ -52,7 +52,7 @@ template <typename P>
 
 // Returns z in T: z - F_z^-1 F(z; theta), whose value stays z. `jacobian`: F_z at z.
 template <typename P>
-auto CorrectInT(const P& problem, const Eigen::VectorXd& z, const Eigen::MatrixXd& jacobian) {
+auto DifferentiableCorrection(const P& problem, const Eigen::VectorXd& z, const Eigen::MatrixXd& jacobian) {
   using T = typename P::Scalar;
   std::vector<T> corrected(z.begin(), z.end());
   if constexpr (!std::is_same_v<T, double>) {

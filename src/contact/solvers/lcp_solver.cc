@@ -28,7 +28,7 @@ double Sigma(const BoxedLcpUpTo<kMaxRows>& problem, int row, LcpClass c) {
   return c == LcpClass::kUpperBound ? friction : c == LcpClass::kLowerBound ? -friction : 0.0;
 }
 
-bool AtBound(LcpClass c) { return c == LcpClass::kUpperBound || c == LcpClass::kLowerBound; }
+bool IsAtBound(LcpClass c) { return c == LcpClass::kUpperBound || c == LcpClass::kLowerBound; }
 
 template <int kMaxRows>
 LcpList<int, kMaxRows> ClampingRows(const LcpList<LcpClass, kMaxRows>& classes) {
@@ -51,7 +51,7 @@ LcpMatrix<kMaxRows> InverseInClasses(const BoxedLcpUpTo<kMaxRows>& problem, cons
   for (int i = 0; i < n; ++i) {
     for (int j = 0; j < n; ++j) reduced(i, j) = problem.matrix(clamping[i], clamping[j]);
     for (int k = 0; k < problem.size(); ++k) {
-      if (!AtBound(classes[k]) || column[problem.normal[k]] < 0) continue;
+      if (!IsAtBound(classes[k]) || column[problem.normal[k]] < 0) continue;
       reduced(i, column[problem.normal[k]]) += Sigma(problem, k, classes[k]) * problem.matrix(clamping[i], k);
     }
   }
@@ -69,7 +69,7 @@ LcpVector<kMaxRows> SolveInClasses(const BoxedLcpUpTo<kMaxRows>& problem, const 
     for (int j = 0; j < n; ++j) x[clamping[i]] += inverse(i, j) * problem.rhs[clamping[j]];
   }
   for (int k = 0; k < problem.size(); ++k) {
-    if (AtBound(classes[k])) x[k] = Sigma(problem, k, classes[k]) * x[problem.normal[k]];
+    if (IsAtBound(classes[k])) x[k] = Sigma(problem, k, classes[k]) * x[problem.normal[k]];
   }
   return x;
 }
@@ -192,7 +192,7 @@ LcpClass Classify(const BoxedLcpUpTo<kMaxRows>& problem, const LcpVector<kMaxRow
 }
 
 template <int kMaxRows>
-BoxedLcpUpTo<kMaxRows> WithoutFriction(BoxedLcpUpTo<kMaxRows> problem) {
+BoxedLcpUpTo<kMaxRows> FrictionlessProblem(BoxedLcpUpTo<kMaxRows> problem) {
   for (int i = 0; i < problem.size(); ++i) {
     if (problem.IsNormal(i)) continue;
     // The row becomes independent of all others: nothing acts on it, and it acts on nothing.
@@ -257,7 +257,7 @@ LcpSolutionUpTo<kMaxRows> SolveBoxedLcp(const BoxedLcpUpTo<kMaxRows>& problem) {
   LcpVector<kMaxRows> x = Pivot(regular, 0);
   if (!Fits(regular, x)) x = ProjectedGaussSeidel(regular);
   if (!Fits(regular, x)) {
-    regular = WithoutFriction(regular);
+    regular = FrictionlessProblem(regular);
     with_friction = false;
     x = Pivot(regular, 0);
   }

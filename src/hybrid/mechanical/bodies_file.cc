@@ -107,7 +107,7 @@ class BodiesReader final : internal::SceneReader {
       body.velocity = ToPoint(ReadVector(*velocity));
     }
     if (const Value* spin = find("angular_velocity", turns)) body.spin = ReadNumber(*spin);
-    if (const std::string wrong = WhatIsWrongWith(body); !wrong.empty()) Fail(value, wrong);
+    if (const std::string wrong = Validate(body); !wrong.empty()) Fail(value, wrong);
     return body;
   }
 
@@ -124,7 +124,7 @@ class BodiesReader final : internal::SceneReader {
       scene_.bodies.emplace_back().name = body.name;
       rigid_.bodies.push_back(std::move(body));
     }
-    if (const std::string wrong = WhatIsWrongWith(rigid_); !wrong.empty()) Fail(value, wrong);
+    if (const std::string wrong = Validate(rigid_); !wrong.empty()) Fail(value, wrong);
   }
 
   void ReadContact(const Value& value) {
@@ -185,7 +185,7 @@ class BodiesReader final : internal::SceneReader {
     const bool of_rate =
         term.quantity == TerminalTerm::Quantity::kVelocity || term.quantity == TerminalTerm::Quantity::kAngularVelocity;
     const std::vector<int> coordinates =
-        term.IsOfSpin() ? CoordinatesOf(term.body, {2}) : CoordinatesOf(term.body, {0, 1});
+        term.IsRotational() ? CoordinatesOf(term.body, {2}) : CoordinatesOf(term.body, {0, 1});
     const TerminalTerm::Region goal = term.Goal();
     if ((goal.min.array() > goal.max.array()).any()) Fail(value, "found min above max, expected at most that");
     if (!goal.min.array().isFinite().any() && !goal.max.array().isFinite().any()) {
@@ -302,7 +302,7 @@ BodiesProblem BodiesReader::Read(const YAML::Node& root) {
   std::vector<double> first(system.hybrid().num_controls());
   if (!guess.control.empty()) std::copy_n(guess.control.begin(), first.size(), first.begin());
   const MechanicalSystem::Start start = system.FindMode(guess.initial, first, guess.parameters);
-  if (start.mode < 0) Fail(*fields.Find("bodies"), start.why);
+  if (start.mode < 0) Fail(*fields.Find("bodies"), start.reason);
   guess.mode = start.mode;
   BodiesProblem task{
       name, {.system = system.hybrid(), .guess = std::move(guess), .free = std::move(free)}, system, bodies};

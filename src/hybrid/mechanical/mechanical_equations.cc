@@ -56,7 +56,7 @@ void AddChange(const Eigen::VectorXd& change, const Eigen::VectorXd& terms, Vect
   }
 }
 
-std::string WhatIsUnsymmetric(const Eigen::MatrixXd& mass, const MechanicalLayout& layout) {
+std::string DescribeAsymmetry(const Eigen::MatrixXd& mass, const MechanicalLayout& layout) {
   const auto name = [&](Eigen::Index i) {
     return layout.coordinate_names.empty() ? "coordinate " + std::to_string(i) : layout.coordinate_names[i];
   };
@@ -228,7 +228,7 @@ double MechanicalEquations::GapScale(int contact, const Point& at) const {
 
 // A row along a path: value: not used; rate: the velocity along the row; second: the acceleration.
 template <typename S>
-TimeJet<S> MechanicalEquations::Along(const Row& row, const TimePath<S>& path, const S* v, const S* a) const {
+TimeJet<S> MechanicalEquations::RowDerivatives(const Row& row, const TimePath<S>& path, const S* v, const S* a) const {
   const TimeJet<S>*q = path.q.data(), *p = path.p.data();
   if (!row.tangential) return f_.Distance(row.contact, q, p);
   if (!f_.has_rows()) return f_.Slide(row.contact, q, p);
@@ -244,14 +244,14 @@ TimeJet<S> MechanicalEquations::Along(const Row& row, const TimePath<S>& path, c
 }
 
 double MechanicalEquations::RateAlong(const Row& row, const double* q, const double* v, const double* p) const {
-  return Along<double>(row, PathAlong(q, v, p), v, nullptr).rate;
+  return RowDerivatives<double>(row, PathAlong(q, v, p), v, nullptr).rate;
 }
 double MechanicalEquations::SecondAlong(const Row& row, const double* q, const double* v, const double* a,
                                         const double* p) const {
-  return Along<double>(row, {Path(n_, q, v, a), Constant(num_p_, p)}, v, a).second;
+  return RowDerivatives<double>(row, {Path(n_, q, v, a), Constant(num_p_, p)}, v, a).second;
 }
 Jet MechanicalEquations::RateAlong(const Row& row, const Jet* q, const Jet* v, const Jet* p) const {
-  return Along<Jet>(row, {Path<Jet>(n_, q, v, nullptr), Constant(num_p_, p)}, v, nullptr).rate;
+  return RowDerivatives<Jet>(row, {Path<Jet>(n_, q, v, nullptr), Constant(num_p_, p)}, v, nullptr).rate;
 }
 
 MechanicalEquations::System MechanicalEquations::Assemble(const std::vector<ClosedContact>& closed, const Point& at,
@@ -314,7 +314,7 @@ void MechanicalEquations::Accelerate(const System& system, const Point& at, Eige
   if (r == 0) return;
   Eigen::VectorXd right(r);
   const TimePath<double> path{Path(n_, at.q, at.v, static_cast<const double*>(a->data())), Constant(num_p_, at.p)};
-  for (Eigen::Index i = 0; i < r; ++i) right[i] = -Along<double>(system.rows[i], path, at.v, a->data()).second;
+  for (Eigen::Index i = 0; i < r; ++i) right[i] = -RowDerivatives<double>(system.rows[i], path, at.v, a->data()).second;
   system.contact->Solve(right, *force);
   if (terms != nullptr) *terms = system.G.cwiseAbs() * a->cwiseAbs();
   AddChange(system.mobile_F * *force, system.mobile_F.cwiseAbs() * force->cwiseAbs(), *a);
@@ -329,7 +329,7 @@ std::vector<int> MechanicalEquations::Columns(bool by_parameters, bool with_cont
   return columns;
 }
 
-MechanicalEquations::Seeds MechanicalEquations::WithoutSeeds(const Point& at) const {
+MechanicalEquations::Seeds MechanicalEquations::UnseededPass(const Point& at) const {
   return {
       Jets(at.q, at.q + n_), Jets(at.v, at.v + n_), Jets(at.p, at.p + num_p_), Jets(at.u, at.u + num_u_), Jet(at.t)};
 }
@@ -338,7 +338,7 @@ std::vector<MechanicalEquations::Seeds> MechanicalEquations::SeedColumns(const P
                                                                          std::span<const int> columns) const {
   std::vector<Seeds> passes;
   for (std::size_t first = 0; first < columns.size(); first += kWidth) {
-    Seeds& seeds = passes.emplace_back(WithoutSeeds(at));
+    Seeds& seeds = passes.emplace_back(UnseededPass(at));
     const auto jet = [&](int column) -> Jet& {
       if (column < n_) return seeds.q[column];
       if (column < 2 * n_) return seeds.v[column - n_];
@@ -440,7 +440,7 @@ MechanicalEquations::Derivative MechanicalEquations::AccelerationDerivative(cons
   if (!system.rows.empty()) {
     const Jets fixed(a.data(), a.data() + n_);
     const TimePath<Jet> path{Path(n_, at.q, at.v, fixed.data()), Constant(num_p_, at.p)};
-    for (const Row& row : system.rows) rows.push_back(Along<Jet>(row, path, at.v, fixed.data()).second);
+    for (const Row& row : system.rows) rows.push_back(RowDerivatives<Jet>(row, path, at.v, fixed.data()).second);
   }
   return Solve(system, momentum, rows);
 }

@@ -45,7 +45,7 @@ inline int SlidingSign(char status) { return status == '+' ? 1 : status == '-' ?
 void AddChange(const Eigen::VectorXd& change, const Eigen::VectorXd& terms, VectorRef sum);
 
 // Returns what is wrong with a mass matrix that is not symmetric; empty if it is.
-std::string WhatIsUnsymmetric(const Eigen::MatrixXd& mass, const MechanicalLayout& layout);
+std::string DescribeAsymmetry(const Eigen::MatrixXd& mass, const MechanicalLayout& layout);
 
 // A mass matrix, factorized. That of free bodies is diagonal.
 class MassMatrix {
@@ -144,7 +144,7 @@ class MechanicalEquations {
     Jet t;
     MechanicalPoint<Jet> point() const { return {t, q.data(), v.data(), u.data(), p.data()}; }
   };
-  Seeds WithoutSeeds(const Point& at) const;
+  Seeds UnseededPass(const Point& at) const;
   // Seeds these columns, kWidth of them in each pass.
   std::vector<Seeds> SeedColumns(const Point& at, std::span<const int> columns) const;
   Seeds SeedDirection(const Point& at, const double* xdot) const;
@@ -194,7 +194,7 @@ class MechanicalEquations {
   void RowOf(const Row& row, const Seeds& seeds, std::span<const int> reads, TimePath<Jet>* still, Jet* out) const;
   // v and a are those of the path.
   template <typename S>
-  TimeJet<S> Along(const Row& row, const TimePath<S>& path, const S* v, const S* a) const;
+  TimeJet<S> RowDerivatives(const Row& row, const TimePath<S>& path, const S* v, const S* a) const;
   // Calls use(coordinates) for each pass over the coordinates of a contact, of which these have the seeds in `q`.
   template <typename Use>
   void ForEachPass(int contact, Jets* q, const Use& use) const;

@@ -27,7 +27,7 @@ constexpr double kPast = 1e6;         // of the tolerance of a force: where it i
 
 constexpr std::size_t kWidth = MechanicalEquations::kWidth;
 
-using What = MechanicalHybrid::Guarded::What;
+using Kind = MechanicalHybrid::GuardId::Kind;
 
 HybridLayout LayoutOf(const MechanicalLayout& mechanical) {
   HybridLayout layout{.num_controls = mechanical.num_controls, .num_parameters = mechanical.num_parameters};
@@ -158,24 +158,24 @@ int MechanicalHybrid::ModeOf(const std::string& status) const {
   Mode mode{.status = status, .closed = ClosedIn(status), .guards = {}};
   for (int i = 0; i < static_cast<int>(status.size()); ++i) {
     const std::vector<char>& has_reach = functions_->layout().has_reach;
-    if (status[i] != 'o' && !has_reach.empty() && has_reach[i] != 0) mode.guards.push_back({What::kEnd, i});
+    if (status[i] != 'o' && !has_reach.empty() && has_reach[i] != 0) mode.guards.push_back({Kind::kEnd, i});
     switch (status[i]) {
       case 'o':
-        mode.guards.push_back({What::kHit, i});
+        mode.guards.push_back({Kind::kHit, i});
         break;
       case 's':
-        mode.guards.push_back({What::kOff, i});
-        mode.guards.push_back({What::kBreakBack, i});
-        mode.guards.push_back({What::kBreakOn, i});
+        mode.guards.push_back({Kind::kOff, i});
+        mode.guards.push_back({Kind::kBreakBack, i});
+        mode.guards.push_back({Kind::kBreakOn, i});
         break;
       default:
-        mode.guards.push_back({What::kOff, i});
+        mode.guards.push_back({Kind::kOff, i});
         if (status[i] == 'n') {
-          if (HasFriction(i)) mode.guards.push_back({What::kGrip, i});
+          if (HasFriction(i)) mode.guards.push_back({Kind::kGrip, i});
           break;
         }
-        mode.guards.push_back({What::kStop, i});
-        mode.guards.push_back({What::kJam, i});
+        mode.guards.push_back({Kind::kStop, i});
+        mode.guards.push_back({Kind::kJam, i});
     }
   }
   std::unique_lock lock(mutex_);
@@ -184,8 +184,8 @@ int MechanicalHybrid::ModeOf(const std::string& status) const {
   return place->second;
 }
 
-std::shared_ptr<const HybridFunctions> MechanicalHybrid::WithoutIdleEvents(const double* p,
-                                                                           std::span<const int> free) const {
+std::shared_ptr<const HybridFunctions> MechanicalHybrid::RemoveIdleEvents(const double* p,
+                                                                          std::span<const int> free) const {
   const MechanicalLayout& layout = functions_->layout();
   const auto depends = [&](int contact, int parameter) {
     std::vector<Jet> of(p, p + layout.num_parameters);
@@ -200,7 +200,7 @@ std::shared_ptr<const HybridFunctions> MechanicalHybrid::WithoutIdleEvents(const
   return std::make_shared<MechanicalHybrid>(functions_, options_, std::move(smooth));
 }
 
-int MechanicalHybrid::ModeLike(const std::string& name) const {
+int MechanicalHybrid::EquivalentMode(const std::string& name) const {
   std::string status = name;
   for (std::size_t i = 0; i < status.size(); ++i) {
     if (status[i] != 'o' && !HasFriction(static_cast<int>(i))) status[i] = 'n';
@@ -215,8 +215,8 @@ std::string MechanicalHybrid::ContactName(int contact) const {
 
 std::string MechanicalHybrid::GuardName(int mode, int guard) const {
   constexpr const char* kNames[] = {"hit", "off", "stop", "break-", "break+", "end", "jam", "grip"};
-  const Guarded& guarded = ModeAt(mode).guards[guard];
-  return kNames[static_cast<int>(guarded.what)] + (" " + ContactName(guarded.contact));
+  const GuardId& guarded = ModeAt(mode).guards[guard];
+  return kNames[static_cast<int>(guarded.kind)] + (" " + ContactName(guarded.contact));
 }
 
 // ---------------------------------------------------------------------------------------------------------------------
@@ -349,13 +349,13 @@ MechanicalHybrid::Closing MechanicalHybrid::ClosedOf(const Mode& mode, const Poi
 // ---------------------------------------------------------------------------------------------------------------------
 // Impacts.
 
-MechanicalHybrid::Impact MechanicalHybrid::Hit(const Mode& mode, int contact, const Point& at) const {
-  Impact impact = HitWith(mode, contact, at, Restitution::kOwn);
+MechanicalHybrid::Impact MechanicalHybrid::SolveImpact(const Mode& mode, int contact, const Point& at) const {
+  Impact impact = SolveImpactWith(mode, contact, at, Restitution::kOwn);
   if (!impact.why.empty()) return impact;
   // Checks for bounces that accumulate.
   bool fast = false;
   std::vector<char> slow(impact.contacts.size());
-  const Eigen::VectorXd after = impact.After();
+  const Eigen::VectorXd after = impact.VelocityAfter();
   for (std::size_t i = 0; i < impact.contacts.size(); ++i) {
     // One that the impact of another opens, as where a body rocks, is slow as well.
     if (impact.next[impact.contacts[i]] != 'o') continue;
@@ -366,14 +366,14 @@ MechanicalHybrid::Impact MechanicalHybrid::Hit(const Mode& mode, int contact, co
   if (fast || std::ranges::count(slow, 1) == 0) return impact;
   // Where contacts are hit in turn, an impact of one parts the others: all of them close together.
   for (const Restitution restitution : {Restitution::kNone, Restitution::kNoneAndHeld}) {
-    Impact plastic = HitWith(mode, contact, at, restitution);
+    Impact plastic = SolveImpactWith(mode, contact, at, restitution);
     if (!plastic.why.empty()) continue;
     bool closes = true;
     for (std::size_t i = 0; closes && i < impact.contacts.size(); ++i) {
       if (slow[i]) closes = plastic.next[impact.contacts[i]] != 'o';
     }
     // No contact is left that separates too slowly.
-    const Eigen::VectorXd then = plastic.After();
+    const Eigen::VectorXd then = plastic.VelocityAfter();
     for (std::size_t i = 0; closes && restitution == Restitution::kNone && i < plastic.contacts.size(); ++i) {
       const double speed = then[2 * static_cast<Eigen::Index>(i)];
       closes = plastic.next[plastic.contacts[i]] != 'o' || speed <= 0 || speed >= options_.rest_speed;
@@ -402,8 +402,8 @@ Eigen::VectorXd MechanicalHybrid::Moved(const std::vector<int>& contacts, const 
   return v;
 }
 
-MechanicalHybrid::Impact MechanicalHybrid::HitWith(const Mode& mode, int contact, const Point& at,
-                                                   Restitution law) const {
+MechanicalHybrid::Impact MechanicalHybrid::SolveImpactWith(const Mode& mode, int contact, const Point& at,
+                                                           Restitution law) const {
   const bool plastic = law != Restitution::kOwn;
   // Candidates are the contacts that are closed, and those that hit as well.
   std::vector<int> candidates = {contact};
@@ -491,7 +491,7 @@ MechanicalHybrid::Impact MechanicalHybrid::HitWith(const Mode& mode, int contact
   }
   // Finds the contacts that close.
   impact.next = mode.status;
-  const Eigen::VectorXd after = impact.After();
+  const Eigen::VectorXd after = impact.VelocityAfter();
   Closing closing;
   std::vector<char> takes_part(mode.status.size(), 0);
   for (Eigen::Index i = 0; i < k; ++i) {
@@ -552,8 +552,8 @@ void MechanicalHybrid::FlowJacobian(const ModePoint& from, double* xdot, double*
   }
 }
 
-bool MechanicalHybrid::NeedsForces(const Guarded& guarded) {
-  return guarded.what == What::kOff || guarded.what == What::kBreakBack || guarded.what == What::kBreakOn;
+bool MechanicalHybrid::NeedsForces(const GuardId& guarded) {
+  return guarded.kind == Kind::kOff || guarded.kind == Kind::kBreakBack || guarded.kind == Kind::kBreakOn;
 }
 
 MechanicalHybrid::ClosedMotion MechanicalHybrid::MotionOf(const Mode& mode, const Point& at,
@@ -642,7 +642,7 @@ MechanicalHybrid::ClosedMotion MechanicalHybrid::ForcedMotion(
   return motion;
 }
 
-MechanicalHybrid::Jet MechanicalHybrid::GuardJet(const Mode& mode, const Guarded& guarded, const Point& at,
+MechanicalHybrid::Jet MechanicalHybrid::GuardJet(const Mode& mode, const GuardId& guarded, const Point& at,
                                                  const MechanicalEquations::Seeds& seeds, const ClosedMotion& motion,
                                                  std::size_t pass) const {
   const int contact = guarded.contact;
@@ -670,21 +670,21 @@ MechanicalHybrid::Jet MechanicalHybrid::GuardJet(const Mode& mode, const Guarded
     if (std::abs(left.a) <= tolerance || (!motion.at_limit.empty() && motion.at_limit[normal] != 0)) left.a = 0;
     return left;
   };
-  switch (guarded.what) {
-    case What::kHit:
+  switch (guarded.kind) {
+    case Kind::kHit:
       return functions_->Gap(contact, seeds.q.data(), seeds.p.data());
-    case What::kOff:
+    case Kind::kOff:
       return limit(force(normal));
-    case What::kStop:
+    case Kind::kStop:
       return static_cast<double>(SlidingSign(mode.status[contact])) *
              equations_.RateAlong({contact, true}, seeds.q.data(), seeds.v.data(), seeds.p.data());
-    case What::kEnd:
+    case Kind::kEnd:
       return functions_->Reach(contact, seeds.q.data(), seeds.p.data());
-    case What::kBreakBack:
+    case Kind::kBreakBack:
       return limit(functions_->Friction(contact, seeds.p.data()) * force(normal) - force(tangential));
-    case What::kBreakOn:
+    case Kind::kBreakOn:
       return limit(functions_->Friction(contact, seeds.p.data()) * force(normal) + force(tangential));
-    case What::kGrip:
+    case Kind::kGrip:
       return -functions_->Friction(contact, seeds.p.data());
     default:
       return equations_.Pressability(mode.closed[normal], seeds, at);
@@ -693,9 +693,9 @@ MechanicalHybrid::Jet MechanicalHybrid::GuardJet(const Mode& mode, const Guarded
 
 // Guards are evaluated, and resets begin, at the state that is on the equations of the mode: errors of the integration
 // lead away from these within a step.
-MechanicalHybrid::OnMode MechanicalHybrid::Projected(const Mode& mode, const Point& at,
-                                                     std::span<const int> columns) const {
-  OnMode on{.at = at, .x = {}, .passes = equations_.SeedColumns(at, columns)};
+MechanicalHybrid::ProjectedPoint MechanicalHybrid::Projected(const Mode& mode, const Point& at,
+                                                             std::span<const int> columns) const {
+  ProjectedPoint on{.at = at, .x = {}, .passes = equations_.SeedColumns(at, columns)};
   if (mode.closed.empty()) return on;
   const int n = equations_.n();
   on.x.assign(at.q, at.q + n);
@@ -707,18 +707,18 @@ MechanicalHybrid::OnMode MechanicalHybrid::Projected(const Mode& mode, const Poi
 
 double MechanicalHybrid::Guard(const ModePoint& from, int guard) const {
   const Mode& of = ModeAt(from.mode);
-  const Guarded& guarded = of.guards[guard];
-  const OnMode on = Projected(of, PointAt(from));
-  if (guarded.what == Guarded::What::kHit) return equations_.Gap(guarded.contact, on.at);
+  const GuardId& guarded = of.guards[guard];
+  const ProjectedPoint on = Projected(of, PointAt(from));
+  if (guarded.kind == GuardId::Kind::kHit) return equations_.Gap(guarded.contact, on.at);
   ClosedMotion motion;
   if (NeedsForces(guarded)) motion = ForcedMotion(of, on.at);
-  return GuardJet(of, guarded, on.at, equations_.WithoutSeeds(on.at), motion, 0).a;
+  return GuardJet(of, guarded, on.at, equations_.UnseededPass(on.at), motion, 0).a;
 }
 
-GuardValue MechanicalHybrid::GuardAlong(const Mode& mode, const Guarded& guarded, const Point& at,
+GuardValue MechanicalHybrid::GuardAlong(const Mode& mode, const GuardId& guarded, const Point& at,
                                         const MechanicalEquations::TimePath<double>& path,
                                         const MechanicalEquations::Seeds& seeds, const ClosedMotion& motion) const {
-  if (guarded.what == Guarded::What::kHit) {
+  if (guarded.kind == GuardId::Kind::kHit) {
     return {equations_.Gap(guarded.contact, at), equations_.GapRate(guarded.contact, path)};
   }
   const Jet value = GuardJet(mode, guarded, at, seeds, motion, 0);
@@ -727,11 +727,11 @@ GuardValue MechanicalHybrid::GuardAlong(const Mode& mode, const Guarded& guarded
 
 double MechanicalHybrid::GuardRate(const ModePoint& from, int guard, const double* xdot, double* rate) const {
   const Mode& of = ModeAt(from.mode);
-  const Guarded& guarded = of.guards[guard];
-  const OnMode on = Projected(of, PointAt(from));
+  const GuardId& guarded = of.guards[guard];
+  const ProjectedPoint on = Projected(of, PointAt(from));
   MechanicalEquations::Seeds seeds;
   ClosedMotion motion;
-  if (guarded.what != Guarded::What::kHit) seeds = equations_.SeedDirection(on.at, xdot);
+  if (guarded.kind != GuardId::Kind::kHit) seeds = equations_.SeedDirection(on.at, xdot);
   if (NeedsForces(guarded)) motion = ForcedMotion(of, on.at, {&seeds, 1});
   const GuardValue found = GuardAlong(of, guarded, on.at, equations_.PathAlong(on.at.q, xdot, on.at.p), seeds, motion);
   *rate = found.rate;
@@ -740,7 +740,7 @@ double MechanicalHybrid::GuardRate(const ModePoint& from, int guard, const doubl
 
 void MechanicalHybrid::GuardRates(const ModePoint& from, const double* xdot, GuardValue* all) const {
   const Mode& of = ModeAt(from.mode);
-  const OnMode on = Projected(of, PointAt(from));
+  const ProjectedPoint on = Projected(of, PointAt(from));
   MechanicalEquations::Seeds seeds;
   ClosedMotion motion;
   if (!of.closed.empty()) {
@@ -748,7 +748,7 @@ void MechanicalHybrid::GuardRates(const ModePoint& from, const double* xdot, Gua
     motion = ForcedMotion(of, on.at, {&seeds, 1});
   }
   const MechanicalEquations::TimePath<double> path = equations_.PathAlong(on.at.q, xdot, on.at.p);
-  for (const Guarded& guarded : of.guards) *all++ = GuardAlong(of, guarded, on.at, path, seeds, motion);
+  for (const GuardId& guarded : of.guards) *all++ = GuardAlong(of, guarded, on.at, path, seeds, motion);
 }
 
 double MechanicalHybrid::GuardGradient(const ModePoint& from, int guard, double* gradient) const {
@@ -763,14 +763,14 @@ void MechanicalHybrid::GuardGradients(const ModePoint& from, double* values, dou
   GuardGradients(of, of.guards, from, values, gradients);
 }
 
-void MechanicalHybrid::GuardGradients(const Mode& mode, std::span<const Guarded> guards, const ModePoint& from,
+void MechanicalHybrid::GuardGradients(const Mode& mode, std::span<const GuardId> guards, const ModePoint& from,
                                       double* values, double* gradients) const {
   const int all = equations_.num_columns(true);
   std::fill_n(gradients, guards.size() * all, 0.0);
   const Point at = PointAt(from);
   if (mode.closed.empty()) {
     // All guards are gaps, which depend on q and p only.
-    for (const Guarded& guarded : guards) {
+    for (const GuardId& guarded : guards) {
       double* by_p = from.by_parameters ? gradients + 2 * equations_.n() + 1 : nullptr;
       *values++ = equations_.GapGradient(guarded.contact, at, gradients, by_p);
       gradients += all;
@@ -778,7 +778,7 @@ void MechanicalHybrid::GuardGradients(const Mode& mode, std::span<const Guarded>
     return;
   }
   const std::vector<int> columns = equations_.Columns(from.by_parameters, true);
-  const OnMode on = Projected(mode, at, columns);
+  const ProjectedPoint on = Projected(mode, at, columns);
   ClosedMotion motion;
   if (std::any_of(guards.begin(), guards.end(), NeedsForces)) motion = ForcedMotion(mode, on.at, on.passes);
   for (std::size_t pass = 0; pass < on.passes.size(); ++pass) {
@@ -793,18 +793,18 @@ void MechanicalHybrid::GuardGradients(const Mode& mode, std::span<const Guarded>
   }
 }
 
-void MechanicalHybrid::AppendTermsOf(const Mode& mode, std::span<const Guarded> guards, const ModePoint& from,
+void MechanicalHybrid::AppendTermsOf(const Mode& mode, std::span<const GuardId> guards, const ModePoint& from,
                                      std::vector<GuardTerm>* terms, std::vector<std::size_t>* ends) const {
   const int n = equations_.n(), columns = equations_.num_columns(true),
             parameters = functions_->layout().num_parameters;
-  const auto is_gap = [](const Guarded& guarded) { return guarded.what == What::kHit; };
-  std::vector<Guarded> others;
+  const auto is_gap = [](const GuardId& guarded) { return guarded.kind == Kind::kHit; };
+  std::vector<GuardId> others;
   std::ranges::remove_copy_if(guards, std::back_inserter(others), is_gap);
   std::vector<double> values(others.size()), gradients(others.size() * columns), by_q(n), by_p(parameters);
   if (!others.empty()) GuardGradients(mode, others, from, values.data(), gradients.data());
   const double* row = gradients.data();
-  const OnMode on = Projected(mode, PointAt(from));
-  for (const Guarded& guarded : guards) {
+  const ProjectedPoint on = Projected(mode, PointAt(from));
+  for (const GuardId& guarded : guards) {
     if (is_gap(guarded)) {
       equations_.GapGradient(guarded.contact, on.at, by_q.data(), by_p.data());
       for (const int i : equations_.CoordinatesOf(guarded.contact)) {
@@ -823,7 +823,7 @@ void MechanicalHybrid::AppendTermsOf(const Mode& mode, std::span<const Guarded> 
 
 // The closed contacts when one of them stops. Others may stop with it: by chance, or as the corners of one body must,
 // of which no speed is left to compare.
-MechanicalHybrid::Closing MechanicalHybrid::Stopping(const Mode& mode, const Guarded& guarded, const Point& at) const {
+MechanicalHybrid::Closing MechanicalHybrid::Stopping(const Mode& mode, const GuardId& guarded, const Point& at) const {
   Closing closing = ClosedOf(mode, at);
   std::vector<ClosedContact> stopped = mode.closed;
   for (ClosedContact& other : stopped) {
@@ -849,7 +849,7 @@ MechanicalHybrid::Closing MechanicalHybrid::Stopping(const Mode& mode, const Gua
 }
 
 // The closed contacts when one of them stops: 's' for all that are at rest then, 'n' for the others.
-std::vector<ClosedContact> MechanicalHybrid::Stopped(const Mode& mode, const Guarded& guarded, const Point& at) const {
+std::vector<ClosedContact> MechanicalHybrid::Stopped(const Mode& mode, const GuardId& guarded, const Point& at) const {
   const Closing stopping = Stopping(mode, guarded, at);
   std::vector<ClosedContact> stopped = mode.closed;
   for (std::size_t i = 0; i < stopped.size(); ++i) {
@@ -859,24 +859,24 @@ std::vector<ClosedContact> MechanicalHybrid::Stopped(const Mode& mode, const Gua
 }
 
 // The status of all contacts after an event; empty if there is none, and then `why` is the reason.
-std::string MechanicalHybrid::NextStatus(const Mode& mode, const Guarded& guarded, const Point& at, Impact* impact,
+std::string MechanicalHybrid::NextStatus(const Mode& mode, const GuardId& guarded, const Point& at, Impact* impact,
                                          std::string* why) const {
   std::string next = mode.status;
-  switch (guarded.what) {
-    case What::kHit:
-      *impact = Hit(mode, guarded.contact, at);
+  switch (guarded.kind) {
+    case Kind::kHit:
+      *impact = SolveImpact(mode, guarded.contact, at);
       *why = impact->why;
       return impact->next;
-    case What::kEnd:
+    case Kind::kEnd:
       next[guarded.contact] = 'o';
       return next;
-    case What::kOff:
-    case What::kBreakBack:
-    case What::kBreakOn:
+    case Kind::kOff:
+    case Kind::kBreakBack:
+    case Kind::kBreakOn:
       return StatusPastLimit(mode, guarded, at, why);
-    case What::kGrip:
+    case Kind::kGrip:
       return Close(next, ClosedOf(mode, at), at, why);
-    case What::kStop:
+    case Kind::kStop:
       return Close(next, Stopping(mode, guarded, at), at, why);
     default:
       *why = "jammed: the acceleration under a normal force at contact '" + ContactName(guarded.contact) +
@@ -887,7 +887,7 @@ std::string MechanicalHybrid::NextStatus(const Mode& mode, const Guarded& guarde
 
 // The status after a force has reached its limit. Where forces are unique the contact opens or slides; where they are
 // not, several reach their limits at once, and the problem of accelerations shortly after determines which contacts do.
-std::string MechanicalHybrid::StatusPastLimit(const Mode& mode, const Guarded& guarded, const Point& at,
+std::string MechanicalHybrid::StatusPastLimit(const Mode& mode, const GuardId& guarded, const Point& at,
                                               std::string* why) const {
   const int n = equations_.n();
   std::vector<double> xdot(at.v, at.v + n);
@@ -905,28 +905,28 @@ std::string MechanicalHybrid::StatusPastLimit(const Mode& mode, const Guarded& g
     }
   }
   std::string next = mode.status;
-  next[guarded.contact] = guarded.what == What::kOff ? 'o' : guarded.what == What::kBreakBack ? '-' : '+';
+  next[guarded.contact] = guarded.kind == Kind::kOff ? 'o' : guarded.kind == Kind::kBreakBack ? '-' : '+';
   return next;
 }
 
 // Forces that are not unique may reach limits of several contacts at once, of which the status of some stays.
 int MechanicalHybrid::CauseOf(const ModePoint& from, int guard) const {
   const Mode& of = ModeAt(from.mode);
-  const Guarded& guarded = of.guards[guard];
+  const GuardId& guarded = of.guards[guard];
   if (!NeedsForces(guarded)) return guard;
-  const OnMode on = Projected(of, PointAt(from));
+  const ProjectedPoint on = Projected(of, PointAt(from));
   std::string why;
   const std::string next = StatusPastLimit(of, guarded, on.at, &why);
   if (next.empty() || next[guarded.contact] != of.status[guarded.contact]) return guard;
   const ClosedMotion motion = ForcedMotion(of, on.at);
   const double zero = kNearly * motion.force.cwiseAbs().maxCoeff();
-  const MechanicalEquations::Seeds seeds = equations_.WithoutSeeds(on.at);
+  const MechanicalEquations::Seeds seeds = equations_.UnseededPass(on.at);
   for (std::size_t i = 0; i < of.guards.size(); ++i) {
-    const Guarded& other = of.guards[i];
+    const GuardId& other = of.guards[i];
     const char after = next[other.contact];
-    const bool leads_there = (other.what == What::kOff && after == 'o') ||
-                             (other.what == What::kBreakBack && after == '-') ||
-                             (other.what == What::kBreakOn && after == '+');
+    const bool leads_there = (other.kind == Kind::kOff && after == 'o') ||
+                             (other.kind == Kind::kBreakBack && after == '-') ||
+                             (other.kind == Kind::kBreakOn && after == '+');
     if (leads_there && after != of.status[other.contact] && GuardJet(of, other, on.at, seeds, motion, 0).a <= zero) {
       return static_cast<int>(i);
     }
@@ -941,29 +941,29 @@ int MechanicalHybrid::Reset(const ModePoint& from, int guard, double* x_plus) co
 }
 
 // The reset of a state that is on the equations of its mode. What it has no state after the reset for is left as it is.
-int MechanicalHybrid::ResetOn(const Mode& mode, const Guarded& guarded, const Point& at, Impact* impact,
+int MechanicalHybrid::ResetOn(const Mode& mode, const GuardId& guarded, const Point& at, Impact* impact,
                               double* x_plus) const {
   const int n = equations_.n();
   std::string why;
   const std::string next = NextStatus(mode, guarded, at, impact, &why);
   const bool strikes = impact->v_plus.size() > 0;
   // Forces grow without bounds towards a jam, and steps that are too long find a jam where there is none.
-  if (!why.empty() && !strikes) return guarded.what == What::kJam ? -2 : -1;
+  if (!why.empty() && !strikes) return guarded.kind == Kind::kJam ? -2 : -1;
   std::copy_n(at.q, n, x_plus);
   std::copy_n(strikes ? impact->v_plus.data() : at.v, n, x_plus + n);
   // A speed that reaches zero is set to zero, as the rest is rounding.
-  if (guarded.what == What::kStop) equations_.Project(Stopped(mode, guarded, at), x_plus, x_plus + n, at.p);
+  if (guarded.kind == Kind::kStop) equations_.Project(Stopped(mode, guarded, at), x_plus, x_plus + n, at.p);
   return why.empty() ? ModeOf(next) : -1;
 }
 
 int MechanicalHybrid::ResetJacobian(const ModePoint& from, int guard, double* x_plus, double* jacobian) const {
   const Mode& of = ModeAt(from.mode);
   const std::vector<int> columns = equations_.Columns(from.by_parameters, false);
-  OnMode on = Projected(of, PointAt(from), columns);
+  ProjectedPoint on = Projected(of, PointAt(from), columns);
   Impact impact;
   const int next = ResetOn(of, of.guards[guard], on.at, &impact, x_plus);
   if (next < 0 && impact.v_plus.size() == 0) return -1;
-  if (of.guards[guard].what == What::kStop) {
+  if (of.guards[guard].kind == Kind::kStop) {
     const int n = equations_.n();
     std::copy_n(on.at.q, n, x_plus);
     std::copy_n(on.at.v, n, x_plus + n);
@@ -980,7 +980,7 @@ int MechanicalHybrid::ResetJacobian(const ModePoint& from, int guard, double* x_
 }
 
 // Copies the derivatives of a state, which are those of its seeds, to columns of a Jacobian by [x t p].
-void MechanicalHybrid::CopyColumns(const OnMode& on, std::span<const int> columns, double* jacobian) const {
+void MechanicalHybrid::CopyColumns(const ProjectedPoint& on, std::span<const int> columns, double* jacobian) const {
   const int n = equations_.n(), all = equations_.num_columns(false);
   std::fill_n(jacobian, 2 * n * all, 0.0);
   for (std::size_t k = 0; k < columns.size(); ++k) {
@@ -1063,9 +1063,9 @@ MechanicalHybrid::Block MechanicalHybrid::ImpactDerivative(const Impact& impact,
       .motion;
 }
 
-std::string MechanicalHybrid::WhyNoMode(const ModePoint& from, int guard) const {
+std::string MechanicalHybrid::ReasonNoMode(const ModePoint& from, int guard) const {
   const Mode& of = ModeAt(from.mode);
-  const OnMode on = Projected(of, PointAt(from));
+  const ProjectedPoint on = Projected(of, PointAt(from));
   std::string why;
   if (guard < 0) {
     Close(of.status, ClosedOf(of, on.at), on.at, &why);
@@ -1079,26 +1079,26 @@ std::string MechanicalHybrid::WhyNoMode(const ModePoint& from, int guard) const 
 std::string MechanicalHybrid::ForcesAtLimits(const Mode& mode, const Point& at) const {
   if (std::ranges::none_of(mode.guards, NeedsForces)) return "";
   const ClosedMotion motion = ForcedMotion(mode, at);
-  const MechanicalEquations::Seeds seeds = equations_.WithoutSeeds(at);
+  const MechanicalEquations::Seeds seeds = equations_.UnseededPass(at);
   std::string why;
-  for (const Guarded& guarded : mode.guards) {
+  for (const GuardId& guarded : mode.guards) {
     if (!NeedsForces(guarded) || GuardJet(mode, guarded, at, seeds, motion, 0).a != 0) continue;
     why += (why.empty() ? "the force of contact '" : "; the force of contact '") + ContactName(guarded.contact) +
-           (guarded.what == What::kOff ? "' is zero" : "' is at the limit of friction") + " at t = " + Text(at.t);
+           (guarded.kind == Kind::kOff ? "' is zero" : "' is at the limit of friction") + " at t = " + Text(at.t);
   }
   return why;
 }
 
-std::string MechanicalHybrid::WhyNoDerivative(const ModePoint& from, int guard) const {
+std::string MechanicalHybrid::ReasonNoDerivative(const ModePoint& from, int guard) const {
   const Mode& of = ModeAt(from.mode);
   if (guard < 0) return ForcesAtLimits(of, PointAt(from));
-  if (of.guards[guard].what != Guarded::What::kHit) return "";
-  const OnMode on = Projected(of, PointAt(from));
-  const Impact impact = Hit(of, of.guards[guard].contact, on.at);
+  if (of.guards[guard].kind != GuardId::Kind::kHit) return "";
+  const ProjectedPoint on = Projected(of, PointAt(from));
+  const Impact impact = SolveImpact(of, of.guards[guard].contact, on.at);
   if (!impact.why.empty()) return "";
   std::string names, touching, boundary;
   int hits = 0;
-  const Eigen::VectorXd after = impact.After();
+  const Eigen::VectorXd after = impact.VelocityAfter();
   // Whether a contact that is closed before has no force then, so that it might as well be a little open.
   const auto touches = [&](int contact) {
     const auto closed = std::ranges::find(of.closed, contact, &ClosedContact::contact);
@@ -1154,35 +1154,35 @@ std::vector<int> MechanicalHybrid::NextModes(int mode, int guard, const double* 
     return next;
   }
   const int contact = of.guards[guard].contact;
-  switch (of.guards[guard].what) {
-    case What::kHit:
+  switch (of.guards[guard].kind) {
+    case Kind::kHit:
       if (functions_->Restitution(contact, p) > 0) return {mode};
       add(contact, CanStick(contact, p) ? "s+-" : HasFriction(contact) ? "n+-" : "n");
       break;
-    case What::kOff:
-    case What::kEnd:
+    case Kind::kOff:
+    case Kind::kEnd:
       add(contact, "o");
       break;
-    case What::kStop:
+    case Kind::kStop:
       add(contact, CanStick(contact, p) ? "s" : "n");
       add(contact, of.status[contact] == '+' ? "-" : "+");
       break;
-    case What::kBreakBack:
+    case Kind::kBreakBack:
       add(contact, "-");
       break;
-    case What::kBreakOn:
+    case Kind::kBreakOn:
       add(contact, "+");
       break;
-    case What::kGrip:
+    case Kind::kGrip:
       add(contact, "s+-o");
       break;
-    case What::kJam:
+    case Kind::kJam:
       break;
   }
   return next;
 }
 
-int MechanicalHybrid::ModeUnder(const ModePoint& from) const {
+int MechanicalHybrid::ModeAfterControlJump(const ModePoint& from) const {
   const Mode& of = ModeAt(from.mode);
   if (of.closed.empty()) return from.mode;
   std::string why;
@@ -1199,7 +1199,7 @@ void MechanicalHybrid::Project(int mode, const double* x, const double* p, doubl
 
 void MechanicalHybrid::ProjectJacobian(const ModePoint& from, double* x_plus, double* jacobian) const {
   const std::vector<int> columns = equations_.Columns(from.by_parameters, false);
-  const OnMode on = Projected(ModeAt(from.mode), PointAt(from), columns);
+  const ProjectedPoint on = Projected(ModeAt(from.mode), PointAt(from), columns);
   std::copy_n(on.at.q, equations_.n(), x_plus);
   std::copy_n(on.at.v, equations_.n(), x_plus + equations_.n());
   CopyColumns(on, columns, jacobian);

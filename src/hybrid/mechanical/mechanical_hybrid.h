@@ -35,8 +35,8 @@ class MechanicalHybrid final : public HybridFunctions {
   const MechanicalEquations& equations() const { return equations_; }
   const MechanicalOptions& options() const { return options_; }
 
-  struct Guarded {
-    enum class What {  // in the order of their names in GuardName
+  struct GuardId {
+    enum class Kind {  // in the order of their names in GuardName
       kHit,            // the gap
       kOff,            // f_n
       kStop,           // sigma v_t
@@ -45,13 +45,13 @@ class MechanicalHybrid final : public HybridFunctions {
       kEnd,            // the end of what the gap is measured from
       kJam,            // N M^-1 (N^T - mu sigma T^T)
       kGrip,           // -mu of a contact that is closed as without friction
-    } what = What::kHit;
+    } kind = Kind::kHit;
     int contact = 0;
   };
   struct Mode {
     std::string status;
     std::vector<ClosedContact> closed;
-    std::vector<Guarded> guards;
+    std::vector<GuardId> guards;
   };
   // Returns a mode; modes are never removed.
   const Mode& ModeAt(int mode) const;
@@ -80,9 +80,9 @@ class MechanicalHybrid final : public HybridFunctions {
     Eigen::VectorXd compression, v_compressed;
 
     // Returns v_n and v_t after the impact, in turn.
-    Eigen::VectorXd After() const { return before + W * impulse; }
+    Eigen::VectorXd VelocityAfter() const { return before + W * impulse; }
   };
-  Impact Hit(const Mode& mode, int contact, const Point& at) const;
+  Impact SolveImpact(const Mode& mode, int contact, const Point& at) const;
 
   // Accelerations and forces of the closed contacts of a mode, and their derivatives by the seeds of each pass.
   struct ClosedMotion {
@@ -100,13 +100,13 @@ class MechanicalHybrid final : public HybridFunctions {
                             std::span<const MechanicalEquations::Seeds> passes = {}) const;
 
   // A point on the equations of a mode.
-  struct OnMode {
+  struct ProjectedPoint {
     Point at;
     std::vector<double> x;  // that `at` refers to, if it has been moved
     std::vector<MechanicalEquations::Seeds> passes;
   };
   // `columns`: of [x t p u] at the point that are seeded; the seeds are moved as the point is.
-  OnMode Projected(const Mode& mode, const Point& at, std::span<const int> columns = {}) const;
+  ProjectedPoint Projected(const Mode& mode, const Point& at, std::span<const int> columns = {}) const;
 
   // The velocities after impulses of contacts, normal and tangential in turn.
   Eigen::VectorXd Moved(const std::vector<int>& contacts, const Eigen::VectorXd& impulse, const Point& at) const;
@@ -157,14 +157,14 @@ class MechanicalHybrid final : public HybridFunctions {
   int CauseOf(const ModePoint& from, int guard) const override;
   int Reset(const ModePoint& from, int guard, double* x_plus) const override;
   int ResetJacobian(const ModePoint& from, int guard, double* x_plus, double* jacobian) const override;
-  std::string WhyNoMode(const ModePoint& from, int guard) const override;
-  std::string WhyNoDerivative(const ModePoint& from, int guard) const override;
-  int ModeUnder(const ModePoint& from) const override;
+  std::string ReasonNoMode(const ModePoint& from, int guard) const override;
+  std::string ReasonNoDerivative(const ModePoint& from, int guard) const override;
+  int ModeAfterControlJump(const ModePoint& from) const override;
   bool Projects(int mode) const override { return !ModeAt(mode).closed.empty(); }
   void Project(int mode, const double* x, const double* p, double* x_plus) const override;
   void ProjectJacobian(const ModePoint& from, double* x_plus, double* jacobian) const override;
-  bool WaitsBehind(int mode, int guard) const override {
-    return ModeAt(mode).guards[guard].what == Guarded::What::kHit;
+  bool RearmsAboveZero(int mode, int guard) const override {
+    return ModeAt(mode).guards[guard].kind == GuardId::Kind::kHit;
   }
   bool CreatesModes() const override { return true; }
   std::vector<int> NextModes(int mode, int guard, const double* p) const override;
@@ -173,8 +173,8 @@ class MechanicalHybrid final : public HybridFunctions {
   }
   bool EndsAccumulations() const override { return true; }
   // Contacts whose friction is zero become contacts without friction, which do not count where their sliding reverses.
-  std::shared_ptr<const HybridFunctions> WithoutIdleEvents(const double* p, std::span<const int> free) const override;
-  int ModeLike(const std::string& name) const override;
+  std::shared_ptr<const HybridFunctions> RemoveIdleEvents(const double* p, std::span<const int> free) const override;
+  int EquivalentMode(const std::string& name) const override;
 
  private:
   using Jet = MechanicalEquations::Jet;
@@ -189,34 +189,34 @@ class MechanicalHybrid final : public HybridFunctions {
   // The restitution of contacts that hit: the given one; none; or none, and all contacts that take part are held
   // closed, and at rest where they are slow.
   enum class Restitution { kOwn, kNone, kNoneAndHeld };
-  Impact HitWith(const Mode& mode, int contact, const Point& at, Restitution law) const;
+  Impact SolveImpactWith(const Mode& mode, int contact, const Point& at, Restitution law) const;
   Block ImpactDerivative(const Impact& impact, const MechanicalEquations::Seeds& seeds, const Point& at) const;
-  void CopyColumns(const OnMode& on, std::span<const int> columns, double* jacobian) const;
-  static bool NeedsForces(const Guarded& guarded);
+  void CopyColumns(const ProjectedPoint& on, std::span<const int> columns, double* jacobian) const;
+  static bool NeedsForces(const GuardId& guarded);
   ClosedMotion MotionOf(const Mode& mode, const Point& at,
                         std::span<const MechanicalEquations::Seeds> passes = {}) const;
   // The guard and its derivatives by the seeds of a pass. `motion` is that of ForcedMotion, and read where NeedsForces.
-  Jet GuardJet(const Mode& mode, const Guarded& guarded, const Point& at, const MechanicalEquations::Seeds& seeds,
+  Jet GuardJet(const Mode& mode, const GuardId& guarded, const Point& at, const MechanicalEquations::Seeds& seeds,
                const ClosedMotion& motion, std::size_t pass) const;
-  void GuardGradients(const Mode& mode, std::span<const Guarded> guards, const ModePoint& from, double* values,
+  void GuardGradients(const Mode& mode, std::span<const GuardId> guards, const ModePoint& from, double* values,
                       double* gradients) const;
   // Derivatives of gaps are those at the point on the equations of the mode, of which each has few.
-  void AppendTermsOf(const Mode& mode, std::span<const Guarded> guards, const ModePoint& from,
+  void AppendTermsOf(const Mode& mode, std::span<const GuardId> guards, const ModePoint& from,
                      std::vector<GuardTerm>* terms, std::vector<std::size_t>* ends) const;
   // A guard and its rate along the direction of path and seeds. Seeds and motion are not read where a gap is the guard,
   // the path where none is.
-  GuardValue GuardAlong(const Mode& mode, const Guarded& guarded, const Point& at,
+  GuardValue GuardAlong(const Mode& mode, const GuardId& guarded, const Point& at,
                         const MechanicalEquations::TimePath<double>& path, const MechanicalEquations::Seeds& seeds,
                         const ClosedMotion& motion) const;
-  int ResetOn(const Mode& mode, const Guarded& guarded, const Point& at, Impact* impact, double* x_plus) const;
-  std::string NextStatus(const Mode& mode, const Guarded& guarded, const Point& at, Impact* impact,
+  int ResetOn(const Mode& mode, const GuardId& guarded, const Point& at, Impact* impact, double* x_plus) const;
+  std::string NextStatus(const Mode& mode, const GuardId& guarded, const Point& at, Impact* impact,
                          std::string* why) const;
   // Returns the reason why a mode with these forces has only one-sided derivatives.
   std::string ForcesAtLimits(const Mode& mode, const Point& at) const;
-  std::string StatusPastLimit(const Mode& mode, const Guarded& guarded, const Point& at, std::string* why) const;
+  std::string StatusPastLimit(const Mode& mode, const GuardId& guarded, const Point& at, std::string* why) const;
   Closing ClosedOf(const Mode& mode, const Point& at) const;
-  Closing Stopping(const Mode& mode, const Guarded& guarded, const Point& at) const;
-  std::vector<ClosedContact> Stopped(const Mode& mode, const Guarded& guarded, const Point& at) const;
+  Closing Stopping(const Mode& mode, const GuardId& guarded, const Point& at) const;
+  std::vector<ClosedContact> Stopped(const Mode& mode, const GuardId& guarded, const Point& at) const;
   // The sign of v_t; zero if it is no more than this part of its terms.
   int SlipSign(int contact, const Point& at, double zero) const;
 

@@ -28,7 +28,7 @@ bool IsConstant(const MechanicalFunctions& functions, int contact, const double*
 
 // The impulses of impacts of the contacts one after the other, beginning with `first`, until none approaches. Newton's
 // law of each contact by itself.
-Eigen::VectorXd InSequence(const ContactProblem& problem, const std::vector<double>& restitution, int first) {
+Eigen::VectorXd SequentialImpulses(const ContactProblem& problem, const std::vector<double>& restitution, int first) {
   Eigen::VectorXd impulse = Eigen::VectorXd::Zero(problem.given.size());
   const double at_rest = 1e-14 * problem.given.cwiseAbs().maxCoeff();
   int contact = first;
@@ -66,11 +66,11 @@ int MechanicalSystem::Mode(const std::string& status) const { return modes_->Mod
 
 bool MechanicalSystem::IsStatus(const std::string& status) const { return modes_->IsStatus(status); }
 
-std::string MechanicalSystem::WhatIsWrongAt(std::span<const double> x, std::span<const double> p) const {
+std::string MechanicalSystem::ValidateAt(std::span<const double> x, std::span<const double> p) const {
   const int n = functions().layout().num_coordinates;
   Eigen::MatrixXd mass(n, n);
   functions().Mass(x.data(), p.data(), mass.data());
-  if (std::string wrong = WhatIsUnsymmetric(mass, functions().layout()); !wrong.empty()) return wrong;
+  if (std::string wrong = DescribeAsymmetry(mass, functions().layout()); !wrong.empty()) return wrong;
   if (!mass.allFinite() || mass.llt().info() != Eigen::Success) {
     return "mass: found a matrix that is not positive definite at the initial state, expected one that is";
   }
@@ -92,13 +92,13 @@ std::string MechanicalSystem::WhatIsWrongAt(std::span<const double> x, std::span
 MechanicalSystem::Start MechanicalSystem::FindMode(std::span<const double> x, std::span<const double> u,
                                                    std::span<const double> p, double t) const {
   const MechanicalHybrid::Point at = modes_->PointAt(t, x.data(), u.data(), p.data());
-  Start start{.mode = -1, .why = WhatIsWrongAt(x, p)};
-  if (!start.why.empty()) return start;
-  const MechanicalHybrid::Closing closing = modes_->Touching(at, &start.why);
-  if (!start.why.empty()) return start;
+  Start start{.mode = -1, .reason = ValidateAt(x, p)};
+  if (!start.reason.empty()) return start;
+  const MechanicalHybrid::Closing closing = modes_->Touching(at, &start.reason);
+  if (!start.reason.empty()) return start;
   const std::string status =
-      modes_->Close(std::string(functions().layout().num_contacts, 'o'), closing, at, &start.why);
-  if (start.why.empty()) start.mode = modes_->ModeOf(status);
+      modes_->Close(std::string(functions().layout().num_contacts, 'o'), closing, at, &start.reason);
+  if (start.reason.empty()) start.mode = modes_->ModeOf(status);
   return start;
 }
 
@@ -153,13 +153,13 @@ MechanicalSystem::Motion MechanicalSystem::MotionIn(int mode, std::span<const do
 MechanicalImpact MechanicalSystem::ImpactAt(int mode, int contact, std::span<const double> x, std::span<const double> u,
                                             std::span<const double> p, double t) const {
   const MechanicalHybrid::Mode& of = modes_->ModeAt(mode);
-  const MechanicalHybrid::OnMode on = modes_->Projected(of, modes_->PointAt(t, x.data(), u.data(), p.data()));
+  const MechanicalHybrid::ProjectedPoint on = modes_->Projected(of, modes_->PointAt(t, x.data(), u.data(), p.data()));
   const MechanicalHybrid::Point& at = on.at;
-  const MechanicalHybrid::Impact hit = modes_->Hit(of, contact, at);
+  const MechanicalHybrid::Impact hit = modes_->SolveImpact(of, contact, at);
   MechanicalImpact impact;
   impact.time = t;
   if (hit.v_plus.size() == 0) return impact;
-  const Eigen::VectorXd after = hit.After();
+  const Eigen::VectorXd after = hit.VelocityAfter();
   impact.ends_bouncing = hit.ends_bouncing;
   if (hit.ends_bouncing) impact.accumulates_at = t;
   int hits = 0;
@@ -203,10 +203,10 @@ MechanicalImpact MechanicalSystem::ImpactAt(int mode, int contact, std::span<con
     const Eigen::VectorXd v_plus = modes_->Moved(hit.contacts, impulse, at);
     return std::vector<double>(v_plus.data(), v_plus.data() + v_plus.size());
   };
-  impact.together = after_impulse(hit.impulse);
+  impact.v_simultaneous = after_impulse(hit.impulse);
   if (problem.size() != 2) return impact;
-  impact.first_first = after_impulse(InSequence(problem, restitution, 0));
-  impact.second_first = after_impulse(InSequence(problem, restitution, 1));
+  impact.v_first_then_second = after_impulse(SequentialImpulses(problem, restitution, 0));
+  impact.v_second_then_first = after_impulse(SequentialImpulses(problem, restitution, 1));
   impact.coupling = std::abs(hit.W(0, 2)) / std::sqrt(hit.W(0, 0) * hit.W(2, 2));
   return impact;
 }
@@ -217,8 +217,8 @@ MechanicalReport MechanicalSystem::Examine(const HybridSimulator& simulator, con
   const int n = functions().layout().num_coordinates, num_controls = functions().layout().num_controls;
   const std::vector<double> zeros(num_controls, 0.0);
   for (const HybridEvent& event : simulator.events()) {
-    const MechanicalHybrid::Guarded& guarded = modes_->ModeAt(event.mode).guards[event.guard];
-    if (guarded.what != MechanicalHybrid::Guarded::What::kHit) continue;
+    const MechanicalHybrid::GuardId& guarded = modes_->ModeAt(event.mode).guards[event.guard];
+    if (guarded.kind != MechanicalHybrid::GuardId::Kind::kHit) continue;
     const int interval =
         std::clamp(static_cast<int>(event.time / input.duration * input.num_intervals), 0, input.num_intervals - 1);
     std::span<const double> u = zeros;

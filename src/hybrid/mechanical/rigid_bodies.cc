@@ -30,7 +30,7 @@ std::vector<Point2D> BoxPolygon(double half_width, double half_height) {
       {-half_width, -half_height}, {half_width, -half_height}, {half_width, half_height}, {-half_width, half_height}};
 }
 
-std::string WhatIsWrongWith(const RigidBody2D& body) {
+std::string Validate(const RigidBody2D& body) {
   if ((body.radius > 0) == !body.polygon.empty()) return "expected either a polygon or a radius above zero";
   if (!(body.mass > 0)) return "found mass " + std::to_string(body.mass) + ", expected more than zero";
   if (!(body.inertia >= 0)) return "found a negative inertia";
@@ -46,10 +46,10 @@ std::string WhatIsWrongWith(const RigidBody2D& body) {
   return "";
 }
 
-std::string WhatIsWrongWith(const RigidScene2D& scene) {
+std::string Validate(const RigidScene2D& scene) {
   bool moves = false;
   for (const RigidBody2D& body : scene.bodies) {
-    const std::string wrong = WhatIsWrongWith(body);
+    const std::string wrong = Validate(body);
     if (!wrong.empty()) return "body '" + body.name + "': " + wrong;
     moves = moves || body.joint.kind != RigidJoint2D::Kind::kWeld;
   }
@@ -63,7 +63,7 @@ std::string WhatIsWrongWith(const RigidScene2D& scene) {
 }
 
 RigidBodies2D::RigidBodies2D(RigidScene2D scene) : scene_(std::move(scene)) {
-  CHECK_EQ(WhatIsWrongWith(scene_), "");
+  CHECK_EQ(Validate(scene_), "");
   const auto count = scene_.bodies.size();
   normals_.resize(count);
   for (std::size_t b = 0; b < count; ++b) {

@@ -1,13 +1,14 @@
 #include "solve/phases/ceres_event.h"
 
 #include "solve/phases/phase_attempt.h"
-#include "solve/phases/sequence_mending.h"
+#include "solve/phases/sequence_update.h"
 
 namespace saltus {
 
-PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on) {
+PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& start,
+                      const ContinuePredicate& may_continue) {
   if (plan.HasTies() || plan.HasRegimes() || !plan.apart.empty())
-    return TryByTranscription(run, plan, start, may_go_on);
+    return TryByTranscription(run, plan, start, may_continue);
   PlanAttempt attempt;
   if (!start.trial.exact.ok || !start.trial.exact.only_impacts) return attempt;
   const Scene& scene = run->scene();
@@ -25,14 +26,14 @@ PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& sta
   attempt.speeds = solution.speeds;
   attempt.converged = solution.minimum.converged;
   attempt.trial = std::move(solution.trial);
-  const std::vector<OwnTerm> no_terms;
+  const std::vector<UserTerm> no_terms;
   attempt.realized = solution.realized;
   FollowEvents(DiscMotions(scene, no_terms), plan, solution.intervals, &attempt);
   // Where many impacts leave the variables of arcs ill conditioned, the last digits are the transcription's.
   if (attempt.converged && attempt.realized &&
       run->Certify(attempt.trial).verdict == Certificate::Verdict::kNotStationary) {
     PlanStart found{{attempt.times.begin(), attempt.times.end() - 1}, attempt.trial};
-    PlanAttempt last = TryByTranscription(run, plan, found, may_go_on);
+    PlanAttempt last = TryByTranscription(run, plan, found, may_continue);
     if (last.feasible() && last.converged) attempt = std::move(last);
   }
   return attempt;
@@ -40,14 +41,15 @@ PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& sta
 
 SolveReport SolveByCeresEvent(const SolveRequest& request, const SolverOptions& options) {
   PhaseRun run("ceres_event", request, options);
-  if (auto refused = run.WhyNot(SequenceFor(options, run.guess()))) return *refused;
-  return MendByArcs(&run);
+  if (auto refused = run.SequenceFailure(SequenceFor(options, run.guess()))) return *refused;
+  return UpdateByArcs(&run);
 }
 
-SolveReport MendByArcs(PhaseRun* run) {
-  return SolveMending(run, [run](const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on) {
-    return TryByArcs(run, plan, start, may_go_on);
-  });
+SolveReport UpdateByArcs(PhaseRun* run) {
+  return SolveWithSequenceUpdates(
+      run, [run](const PhasePlan& plan, const PlanStart& start, const ContinuePredicate& may_continue) {
+        return TryByArcs(run, plan, start, may_continue);
+      });
 }
 
 }  // namespace saltus

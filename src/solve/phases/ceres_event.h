@@ -18,16 +18,17 @@
 
 namespace saltus {
 
-// The sequence is mended on the way (sequence_mending.h). Converged means: the gradient has vanished, gaps are closed,
-// and in exact dynamics the control has the impacts of the sequence and no others. Precondition: WhyNotEventPhases is
-// empty.
+// The sequence is mended on the way (sequence_update.h). Converged means: the gradient has vanished, gaps are closed,
+// and in exact dynamics the control has the impacts of the sequence and no others. Precondition:
+// UnsupportedByEventPhases is empty.
 SolveReport SolveByCeresEvent(const SolveRequest& request, const SolverOptions& options);
 
 // One solve along a plan by closed arcs, which support impacts at different times and no inequalities; the
 // transcription takes the others. Precondition: as above, of the scene of `run`.
-PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on);
+PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& start,
+                      const ContinuePredicate& may_continue);
 
 // All of it from the motion of `run`.
-SolveReport MendByArcs(PhaseRun* run);
+SolveReport UpdateByArcs(PhaseRun* run);
 
 }  // namespace saltus

@@ -10,7 +10,7 @@
 #include "solve/phases/ceres_event.h"
 #include "solve/phases/interior_point.h"
 #include "solve/phases/phase_attempt.h"
-#include "solve/phases/sequence_mending.h"
+#include "solve/phases/sequence_update.h"
 #include "solve/solve_chain.h"
 
 namespace saltus {
@@ -61,16 +61,16 @@ std::optional<Phases> PhasesOf(const Scene& scene, const Trial& trial) {
 bool ArcsCanTake(const SolveRequest& request) {
   const Scene& scene = request.scene;
   return request.terms.empty() && scene.optimize == Optimize::kControl && scene.objective.effort > 0 &&
-         !scene.Spins() && BeyondTerminalCost(scene).empty();
+         !scene.Spins() && NonTerminalFeatures(scene).empty();
 }
 
 // A solve along a plan by a cost for every step. Where many iterations have not led it to the optimum, or rounding
 // keeps it from the last digits, arcs in closed form go on, if the problem is one for them.
 PlanAttempt TryBySteps(PhaseRun* run, bool arcs_can, const PhasePlan& plan, const PlanStart& start,
-                       const MayGoOn& may_go_on) {
+                       const ContinuePredicate& may_continue) {
   bool left = false;
-  const MayGoOn watched = [&](const auto& times, const auto& speeds) {
-    left = !may_go_on(times, speeds);
+  const ContinuePredicate watched = [&](const auto& times, const auto& speeds) {
+    left = !may_continue(times, speeds);
     return !left;
   };
   PlanAttempt attempt = TryByTranscription(run, plan, start, watched);
@@ -84,7 +84,7 @@ PlanAttempt TryBySteps(PhaseRun* run, bool arcs_can, const PhasePlan& plan, cons
   } else if (HasFriction(run->scene())) {
     return attempt;  // perhaps at a kink between slip and stick, which mending looks at from both sides
   }
-  PlanAttempt last = TryByArcs(run, plan, {start.times, attempt.trial}, may_go_on);
+  PlanAttempt last = TryByArcs(run, plan, {start.times, attempt.trial}, may_continue);
   last.jacobians += attempt.jacobians;
   const bool found = last.converged && last.realized && last.loss() <= attempt.loss() * (1 + kNoLoss);
   return found ? last : attempt;
@@ -146,8 +146,8 @@ const char* NameOf(Algorithm algorithm) { return algorithm == Algorithm::kInteri
 SolveReport SolveFrom(const SolveRequest& request, const SolverOptions& options, Algorithm algorithm, Trial start) {
   PhaseRun run(NameOf(algorithm), request, options, std::move(start));
   run.set_algorithm(algorithm);
-  if (auto refused = run.WhyNotStart()) return *refused;
-  SolveReport exact = MendBySteps(&run, request);
+  if (auto refused = run.StartFailure()) return *refused;
+  SolveReport exact = UpdateBySteps(&run, request);
   return IsExact(request) ? exact : SolveUnderModel(request, options, algorithm, std::move(exact));
 }
 
@@ -156,11 +156,11 @@ SolveReport SolveFrom(const SolveRequest& request, const SolverOptions& options,
 // region, and no limits, and the second begins at its optimum.
 SolveReport SolveToRegions(const SolveRequest& request, const SolverOptions& options, const PhaseRun& run) {
   SolveRequest targets = request;
-  targets.scene = WithTargets(request.scene);
+  targets.scene = ReplaceRegionsByTargets(request.scene);
   targets.scene.objective.limits.clear();
   PhaseRun run_to_targets("ceres_phases", targets, options, run.guess());
-  if (auto refused = run_to_targets.WhyNotStart()) return *refused;
-  const SolveReport first = MendBySteps(&run_to_targets, targets);
+  if (auto refused = run_to_targets.StartFailure()) return *refused;
+  const SolveReport first = UpdateBySteps(&run_to_targets, targets);
   SolveChain chain(options);
   chain.Add(first);
   Trial start = run.guess();
@@ -178,28 +178,28 @@ SolveReport SolveToRegions(const SolveRequest& request, const SolverOptions& opt
 
 }  // namespace
 
-std::string WhyNotPhases(const SolveRequest& request) {
-  if (std::string reason = WhyNoPhases(request.scene); !reason.empty()) return reason;
+std::string UnsupportedByCeresPhases(const SolveRequest& request) {
+  if (std::string reason = UnsupportedByPhases(request.scene); !reason.empty()) return reason;
   if (IsExact(request)) return "";
   if (!request.scene.objective.running.empty()) {
     return "running costs require exact flight (contact model event)";
   }
   const auto simulator = MakeSimulator(request.contact, request.scene, Precision::kDouble);
-  const std::optional<FlightOver> over = simulator->FreeFlightOver(simulator->step());
+  const std::optional<VariableFreeFlight> over = simulator->FreeFlightOfLength(simulator->step());
   if (!over) {
     return request.contact.name() +
            " has no derivative of free flight by the length of a step, which is a variable here";
   }
   const bool turns = over->turn.pp != 0;  // linearly
-  if (request.scene.num_turned() > 0 && !turns) {
+  if (request.scene.num_torques() > 0 && !turns) {
     return request.contact.name() + " does not change rotations linearly, and some discs have a torque control";
   }
   return "";
 }
 
-std::string WhyNotInteriorPoint(const SolveRequest& request) {
-  const std::string reason = WhyNoInteriorPoint();
-  return reason.empty() ? WhyNotPhases(request) : reason;
+std::string UnsupportedByInteriorPoint(const SolveRequest& request) {
+  const std::string reason = ReasonNoInteriorPoint();
+  return reason.empty() ? UnsupportedByCeresPhases(request) : reason;
 }
 
 SolveReport SolveByInteriorPoint(const SolveRequest& request, const SolverOptions& options) {
@@ -221,7 +221,7 @@ bool HasGoalRegion(const Scene& scene) {
                              [](const TerminalTerm& term) { return term.region.has_value(); });
 }
 
-Scene WithTargets(Scene scene) {
+Scene ReplaceRegionsByTargets(Scene scene) {
   for (TerminalTerm& term : scene.objective.terminal) {
     if (!term.region) continue;
     const Body& body = scene.bodies[term.body];
@@ -232,17 +232,18 @@ Scene WithTargets(Scene scene) {
     for (int j = 0; j < 2; ++j) {
       if (std::isfinite(middle[j])) term.target[j] = middle[j];
     }
-    if (term.IsOfSpin()) term.target[1] = 0;
+    if (term.IsRotational()) term.target[1] = 0;
     term.region.reset();
   }
   return scene;
 }
 
-SolveReport MendBySteps(PhaseRun* run, const SolveRequest& request) {
+SolveReport UpdateBySteps(PhaseRun* run, const SolveRequest& request) {
   const bool arcs_can = ArcsCanTake(request);
-  return SolveMending(run, [&](const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on) {
-    return TryBySteps(run, arcs_can, plan, start, may_go_on);
-  });
+  return SolveWithSequenceUpdates(
+      run, [&](const PhasePlan& plan, const PlanStart& start, const ContinuePredicate& may_continue) {
+        return TryBySteps(run, arcs_can, plan, start, may_continue);
+      });
 }
 
 }  // namespace saltus

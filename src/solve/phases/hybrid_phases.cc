@@ -10,7 +10,7 @@
 #include "optimality/hybrid_conditions.h"
 #include "solve/phases/interior_point.h"
 #include "solve/phases/phase_attempt.h"
-#include "solve/phases/sequence_mending.h"
+#include "solve/phases/sequence_update.h"
 #include "solve/solve_chain.h"
 
 namespace saltus {
@@ -26,9 +26,9 @@ constexpr int kFewestIntervals = 64;  // where no control or cost of intervals g
 
 // The problem with as many intervals as phases need, where their number means nothing, from the piece of the mode in
 // which the motion begins.
-HybridProblem WithIntervals(HybridProblem problem) {
+HybridProblem RefineIntervals(HybridProblem problem) {
   const bool of_intervals = std::any_of(problem.terms.begin(), problem.terms.end(), [](const HybridTerm& term) {
-    return term.at == HybridTerm::At::kEachInterval;
+    return term.at == HybridTerm::Timing::kEachInterval;
   });
   HybridInput& guess = problem.guess;
   const int width = problem.system.num_controls();
@@ -241,7 +241,7 @@ HybridMotion MotionOf(const HybridInput& input) {
 HybridPhaseRun::HybridPhaseRun(std::string_view solver, const HybridProblem& problem, const SolverOptions& options,
                                std::optional<HybridMotion> start, std::optional<std::vector<ModeEvent>> sequence)
     : SequenceRun(solver, options),
-      problem_(WithIntervals(problem)),
+      problem_(RefineIntervals(problem)),
       shooting_(std::make_unique<HybridShooting>(problem_)),
       sequence_(std::move(sequence)) {
   guess_ = MotionOf(problem_.guess);
@@ -260,7 +260,7 @@ HybridPhaseRun::HybridPhaseRun(std::string_view solver, const HybridProblem& pro
   if (Starts()) Record(guess_.exact.loss);  // infinite without a motion
 }
 
-std::optional<SolveReport> HybridPhaseRun::WhyNotStart() {
+std::optional<SolveReport> HybridPhaseRun::StartFailure() {
   if (sequence_ && !IsPossible(*sequence_)) {
     return Refuse(Termination::kNotApplicable,
                   "the sequence " + NameOf(*sequence_) +
@@ -344,7 +344,7 @@ void HybridPhaseRun::Simulate(HybridMotion* motion) const {
   std::stable_sort(events.begin(), events.end(), [](const auto& a, const auto& b) { return a.time < b.time; });
   for (HybridEvent& event : events) {
     event.before = event.after = {};
-    if (event.at_once) exact.only_impacts = false;
+    if (event.immediate) exact.only_impacts = false;
     std::vector<HybridEvent>& all = exact.events;
     const bool joins = event.guard < 0 && !all.empty() && all.back().guard >= 0 &&
                        event.time - all.back().time <= kNodeMargin * DurationOf(*motion);
@@ -362,7 +362,7 @@ void HybridPhaseRun::Simulate(HybridMotion* motion) const {
     return;
   }
   if (!exact.ok) {
-    exact.reason = shooting_->WhyFailed();
+    exact.reason = shooting_->FailureReason();
     return;
   }
   exact.loss = outcome.loss;
@@ -384,7 +384,7 @@ void HybridPhaseRun::MoveWithin(HybridMotion* motion) const {
   for (const FreeVariable& variable :
        FreeVariables(free, control_width(), static_cast<int>(motion->durations.size()))) {
     if (variable.kind == FreeVariable::Kind::kDuration) continue;
-    double& value = variable.In(*motion);
+    double& value = variable.Access(*motion);
     value = std::min(std::max(value, variable.min), variable.max);
     if (variable.kind != FreeVariable::Kind::kParameter) continue;
     for (const double bound : {variable.min, variable.max}) {
@@ -397,7 +397,7 @@ void HybridPhaseRun::MoveWithin(HybridMotion* motion) const {
   for (double& length : motion->durations) length *= within / duration;
 }
 
-HybridMotion HybridPhaseRun::WithinBounds(HybridMotion motion) const {
+HybridMotion HybridPhaseRun::ClampToBounds(HybridMotion motion) const {
   const HybridMotion before = motion;
   MoveWithin(&motion);
   const bool same = motion.control == before.control && motion.initial == before.initial &&
@@ -427,8 +427,8 @@ bool HybridPhaseRun::IsPossible(const std::vector<ModeEvent>& sequence) const {
     const auto counts = [&](const ModeEvent& event) {
       return term.CountsAt(problem_.system.functions(), event.mode, event.guard);
     };
-    if (term.at == HybridTerm::At::kEvent) return std::ranges::count_if(sequence, counts) > term.occurrence;
-    if (term.at != HybridTerm::At::kEnd) return true;
+    if (term.at == HybridTerm::Timing::kEvent) return std::ranges::count_if(sequence, counts) > term.occurrence;
+    if (term.at != HybridTerm::Timing::kEnd) return true;
     const bool fits = !term.with_state || term.function->parameter_block_sizes()[0] == problem_.system.state_size(mode);
     return fits && (term.mode < 0 || term.mode == problem_.system.functions().BaseMode(mode));
   });
@@ -541,14 +541,14 @@ std::vector<std::pair<PlanOf<ModeEvent>, std::vector<double>>> HybridPhaseRun::P
   return plans;
 }
 
-std::string HybridPhaseRun::WhyNoDerivative(const HybridMotion& motion) const {
+std::string HybridPhaseRun::ReasonNoDerivative(const HybridMotion& motion) const {
   HybridShooting::Outcome outcome;
   if (!motion.exact.ok || !shooting_->Simulate(InputOf(motion), &outcome)) return "";
   std::vector<HybridShooting::TermAt> terms;
-  if (!shooting_->EvaluateTerms(&terms)) return shooting_->WhyFailed();
+  if (!shooting_->EvaluateTerms(&terms)) return shooting_->FailureReason();
   HybridSimulator& simulator = shooting_->simulator();
   simulator.Adjoint(std::vector<double>(simulator.final_state().size(), 1.0));
-  return simulator.WhyNotFinite();
+  return simulator.ReasonNotFinite();
 }
 
 std::string HybridPhaseRun::NameOf(const ModeEvent& event) const {
@@ -593,7 +593,8 @@ std::string HybridPhaseRun::DescribeMiss(const HybridMotion& motion) const {
   return std::string(text) + ", of " + motion.exact.worst;
 }
 
-std::string HybridPhaseRun::WhyNotRealized(const HybridMotion& motion, const std::vector<ModeEvent>& sequence) const {
+std::string HybridPhaseRun::ReasonNotRealized(const HybridMotion& motion,
+                                              const std::vector<ModeEvent>& sequence) const {
   if (!motion.exact.ok) return motion.exact.reason;
   if (!motion.exact.only_impacts) {
     return "in simulation of the solution a guard grazes zero or has a transition at once";
@@ -621,8 +622,8 @@ size_t HybridPhaseRun::DirectionSize(const HybridMotion& motion) const {
   return motion.control.size() + free.initial.size() + free.parameters.size() + (free.duration ? 1 : 0);
 }
 
-std::vector<HybridMotion> HybridPhaseRun::StepAside(const HybridMotion& motion,
-                                                    const std::vector<double>& direction) const {
+std::vector<HybridMotion> HybridPhaseRun::SearchBothSides(const HybridMotion& motion,
+                                                          const std::vector<double>& direction) const {
   double size = 1;
   for (const double u : motion.control) size = std::max(size, std::abs(u));
   const auto move = [&](double length, HybridMotion* moved) {
@@ -667,7 +668,7 @@ SolveReport HybridPhaseRun::Finish(const HybridMotion& motion, double loss, Term
   return std::move(report_);
 }
 
-std::string WhyNotHybridPhases(const HybridProblem& problem) {
+std::string UnsupportedByHybridPhases(const HybridProblem& problem) {
   if (problem.free.IsEmpty()) return "the problem leaves nothing to optimize: name what is free";
   const auto always = std::ranges::find_if(problem.terms, &HybridTerm::always);
   if (always == problem.terms.end() || !IsOnGrid(problem)) return "";
@@ -676,11 +677,12 @@ std::string WhyNotHybridPhases(const HybridProblem& problem) {
          "that do not: make its time an event, by a guard t1 - t";
 }
 
-SolveReport MendHybrid(HybridPhaseRun* run) {
-  return SolveMending<HybridPhaseRun>(
-      run, [run](const PlanOf<ModeEvent>& plan, const PlanStartOf<HybridMotion>& start, const MayGoOn& may_go_on) {
-        return TryByTranscription(run, plan, start, may_go_on);
-      });
+SolveReport UpdateHybridSequence(HybridPhaseRun* run) {
+  return SolveWithSequenceUpdates<HybridPhaseRun>(
+      run,
+      [run](const PlanOf<ModeEvent>& plan,
+            const PlanStartOf<HybridMotion>& start,
+            const ContinuePredicate& may_continue) { return TryByTranscription(run, plan, start, may_continue); });
 }
 
 namespace {
@@ -699,7 +701,7 @@ std::vector<int> GridsOf(const HybridProblem& problem, const SolverOptions& opti
 }
 
 // The problem with the guess on equal intervals, of which each has the control in its middle.
-HybridProblem OnGrid(HybridProblem problem, int intervals) {
+HybridProblem ResampleOnGrid(HybridProblem problem, int intervals) {
   HybridInput& guess = problem.guess;
   if (intervals == guess.num_intervals) return problem;
   const int width = problem.system.num_controls();
@@ -739,13 +741,13 @@ SolveReport SolveHybrid(std::string_view solver, Algorithm algorithm, const Hybr
     const SolverOptions of_grid = chain.Next();
     const bool last = intervals == grids.back();
     if (of_grid.limits.iterations == 0 && !last) continue;
-    HybridPhaseRun run(solver, OnGrid(problem, intervals), of_grid, start, GivenSequence(options));
+    HybridPhaseRun run(solver, ResampleOnGrid(problem, intervals), of_grid, start, GivenSequence(options));
     run.set_algorithm(algorithm);
-    if (auto refused = run.WhyNotStart()) {
+    if (auto refused = run.StartFailure()) {
       if (!last) continue;
       return *refused;
     }
-    report = MendHybrid(&run);
+    report = UpdateHybridSequence(&run);
     chain.Add(report);
     if (report.termination == Termination::kInterrupted && !last) continue;
     const bool ran_out = report.termination == Termination::kIterationLimit && !last &&
@@ -812,9 +814,9 @@ SolveReport SolveHybridByPhases(const HybridProblem& problem, const SolverOption
   return SolveDirectlyFirst("ceres_phases", Algorithm::kLeastSquares, problem, options);
 }
 
-std::string WhyNotInteriorPoint(const HybridProblem& problem) {
-  const std::string reason = WhyNoInteriorPoint();
-  return reason.empty() ? WhyNotHybridPhases(problem) : reason;
+std::string UnsupportedByInteriorPoint(const HybridProblem& problem) {
+  const std::string reason = ReasonNoInteriorPoint();
+  return reason.empty() ? UnsupportedByHybridPhases(problem) : reason;
 }
 
 SolveReport SolveHybridByInteriorPoint(const HybridProblem& problem, const SolverOptions& options) {

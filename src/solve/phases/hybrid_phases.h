@@ -45,8 +45,8 @@ class HybridPhaseRun final : public SequenceRun {
   static constexpr double kUneven = 1.25;     // a step so many times the mean one is too long
   static constexpr bool kHoldsGuards = true;  // at the ends of all steps, beside those of events that are to stay open
 
-  // Precondition: WhyNotHybridPhases(problem) is empty. From the guess of the problem, or another motion, which is
-  // simulated; along a sequence that is given, or that of the motion.
+  // Precondition: UnsupportedByHybridPhases(problem) is empty. From the guess of the problem, or another motion, which
+  // is simulated; along a sequence that is given, or that of the motion.
   HybridPhaseRun(std::string_view solver, const HybridProblem& problem, const SolverOptions& options,
                  std::optional<HybridMotion> start = std::nullopt,
                  std::optional<std::vector<ModeEvent>> sequence = std::nullopt);
@@ -59,7 +59,7 @@ class HybridPhaseRun final : public SequenceRun {
   int num_steps() const { return problem_.guess.num_intervals; }
   int control_width() const { return problem_.system.num_controls(); }
   // Returns a report if there is nothing to start from, with the reason; otherwise std::nullopt.
-  std::optional<SolveReport> WhyNotStart();
+  std::optional<SolveReport> StartFailure();
 
   // Returns the input on which the motion depends.
   HybridInput InputOf(const HybridMotion& motion) const;
@@ -67,7 +67,7 @@ class HybridPhaseRun final : public SequenceRun {
   double ViolationOf(const HybridMotion& motion) const;
   double MeritOf(const HybridMotion& motion) const;
   void MoveWithin(HybridMotion* motion) const;
-  HybridMotion WithinBounds(HybridMotion motion) const;
+  HybridMotion ClampToBounds(HybridMotion motion) const;
   void BlendStart(const HybridMotion& to, const HybridMotion& from, double part, HybridMotion* between) const;
 
   // Plans a sequence. An event that the motion lacks is put between its neighbours, where its guard is smallest.
@@ -104,10 +104,10 @@ class HybridPhaseRun final : public SequenceRun {
   // Directions have the control, and then the free components of the initial state, the free parameters and the
   // duration if it is free.
   size_t DirectionSize(const HybridMotion& motion) const;
-  std::vector<HybridMotion> StepAside(const HybridMotion& motion, const std::vector<double>& direction) const;
+  std::vector<HybridMotion> SearchBothSides(const HybridMotion& motion, const std::vector<double>& direction) const;
 
   // Returns the reason why a motion, or a term at it, has no finite derivative; empty if it has, or without a motion.
-  std::string WhyNoDerivative(const HybridMotion& motion) const;
+  std::string ReasonNoDerivative(const HybridMotion& motion) const;
 
   std::string NameOf(const ModeEvent& event) const;
   std::string NameOf(const std::vector<ModeEvent>& sequence) const;
@@ -115,7 +115,7 @@ class HybridPhaseRun final : public SequenceRun {
   std::string NamesOf(const std::vector<PlanOf<ModeEvent>>& plans) const;
   std::string KinksOf(const PlanOf<ModeEvent>& plan) const;
   std::string DescribeMiss(const HybridMotion& motion) const;
-  std::string WhyNotRealized(const HybridMotion& motion, const std::vector<ModeEvent>& sequence) const;
+  std::string ReasonNotRealized(const HybridMotion& motion, const std::vector<ModeEvent>& sequence) const;
 
   SolveReport Finish(const HybridMotion& motion, double loss, Termination termination, std::string reason = {});
 
@@ -135,17 +135,17 @@ class HybridPhaseRun final : public SequenceRun {
 };
 
 // Returns the reason why a problem has no phases; empty if it has.
-std::string WhyNotHybridPhases(const HybridProblem& problem);
+std::string UnsupportedByHybridPhases(const HybridProblem& problem);
 
-// Solves along the events of the initial guess, which are updated (sequence_mending.h), with a cost for every step
+// Solves along the events of the initial guess, which are updated (sequence_update.h), with a cost for every step
 // (hybrid_transcription.h). Converged means: an optimum along its sequence, and the exact roll-out has these events and
-// violates no constraint. Precondition: WhyNotHybridPhases is empty.
+// violates no constraint. Precondition: UnsupportedByHybridPhases() is empty.
 SolveReport SolveHybridByPhases(const HybridProblem& problem, const SolverOptions& options);
 
 // Solves in this way by the interior-point method of IPOPT, with the Hessian of the Lagrangian (interior_point.h).
-std::string WhyNotInteriorPoint(const HybridProblem& problem);
+std::string UnsupportedByInteriorPoint(const HybridProblem& problem);
 SolveReport SolveHybridByInteriorPoint(const HybridProblem& problem, const SolverOptions& options);
 
-SolveReport MendHybrid(HybridPhaseRun* run);
+SolveReport UpdateHybridSequence(HybridPhaseRun* run);
 
 }  // namespace saltus

@@ -31,11 +31,11 @@ struct TimeOf {
   bool one_block = true;
 
   int num_blocks() const { return one_block ? 1 : 2; }
-  double At(double const* const* blocks) const {
+  double TimeAt(double const* const* blocks) const {
     return one_block ? blocks[0][0] : blocks[0][0] + part * (blocks[1][0] - blocks[0][0]);
   }
   // The derivative by block i.
-  double By(int i) const { return one_block ? 1 : i == 1 ? part : 1 - part; }
+  double BlockDerivative(int i) const { return one_block ? 1 : i == 1 ? part : 1 - part; }
 };
 
 class Rows : public ceres::CostFunction {
@@ -160,7 +160,7 @@ class GuardRows final : public Rows {
     const double *u = reads_control_ ? u_.data() : nullptr, *p = P > 0 ? blocks[of_parameters] : nullptr;
     const bool by_parameters = P > 0 && jacobians != nullptr && jacobians[of_parameters] != nullptr;
     const double* x = state_.Read(blocks, blocks + times, p, jacobians != nullptr);
-    const ModePoint at{mode_, time_.At(blocks + times), x, u, p, by_parameters};
+    const ModePoint at{mode_, time_.TimeAt(blocks + times), x, u, p, by_parameters};
     const bool one = guards_.size() == 1;
     const int all = one ? 1 : functions_.num_guards(mode_);
     Eigen::VectorXd values(all);
@@ -187,7 +187,7 @@ class GuardRows final : public Rows {
     if (jacobians == nullptr) return true;
     Matrix of_parameter = by_parameters ? Matrix(by.middleCols(n + 1, P)) : Matrix::Zero(by.rows(), P);
     Matrix by_times(by.rows(), 2);
-    for (int k = 0; k < 2; ++k) by_times.col(k) = (k < time_.num_blocks() ? time_.By(k) : 0) * by.col(n);
+    for (int k = 0; k < 2; ++k) by_times.col(k) = (k < time_.num_blocks() ? time_.BlockDerivative(k) : 0) * by.col(n);
     state_.Put(by.leftCols(n), jacobians, &of_parameter, &by_times);
     if (reads_control_) control_.Put(by.rightCols(m), jacobians + of_control);
     if (by_parameters) Put(jacobians, of_parameters, of_parameter);
@@ -414,7 +414,7 @@ class TermRows final : public Rows {
     double time = 0, length = 0;
     bool grows = false;
     if (timed_) {
-      time = time_.At(blocks + times);
+      time = time_.TimeAt(blocks + times);
       length = time_.one_block ? 0 : (blocks[times + 1][0] - blocks[times][0]) / intervals_;
       grows = length > least_;
       length = std::max(length, least_);
@@ -458,7 +458,7 @@ class TermRows final : public Rows {
     if (term_.with_parameters) by_parameters += *next++;
     if (num_parameters_ > 0) Put(jacobians, of_parameters_, by_parameters);
     for (int i = 0; timed_ && i < time_.num_blocks(); ++i) {
-      if (term_.with_time) by_times.col(i) += time_.By(i) * *next;
+      if (term_.with_time) by_times.col(i) += time_.BlockDerivative(i) * *next;
       if (term_.with_length && grows) by_times.col(i) += (i == 1 ? 1.0 : -1.0) / intervals_ * by_.back();
       Put(jacobians, times + i, by_times.col(i));
     }
@@ -631,11 +631,11 @@ HybridTranscription::HybridTranscription(const HybridProblem& problem, const Hyb
     laws_.push_back(regime ? functions_.RegimeOf(*regime) : nullptr);
   }
   laws_.resize(plan.cuts.size());
-  valid_ = Lay(start);
+  valid_ = SetInitialValues(start);
   if (!valid_) return;
   FindScalesOfNewModes();
   AddSteps();
-  HoldWhatIsGiven();
+  FixGivenValues();
   HoldInstants();
   AddEvents(overlaps);
   if (scales_.are_natural) {
@@ -764,7 +764,7 @@ bool HybridTranscription::IsNone(const ModeEvent& event, const ModePoint& at) co
   return std::ranges::any_of(rows, [](double row) { return row > 0; });
 }
 
-bool HybridTranscription::Lay(const Start& start) {
+bool HybridTranscription::SetInitialValues(const Start& start) {
   std::vector<int> last;  // node of each part
   const auto add = [&](int part, const std::vector<double>& x) {
     std::vector<double>& node = nodes_.emplace_back();
@@ -776,8 +776,8 @@ bool HybridTranscription::Lay(const Start& start) {
     Phase& phase = phases_[j];
     const double begin = *Begin(j), length = *End(j) - begin;
     const int count = phase.intervals * substeps_;
-    phase.first_control = static_cast<int>(controls_.size()) - (GoesOn(j) ? 1 : 0);
-    for (int k = 0; k < phase.intervals && !GoesOn(j); ++k) {
+    phase.first_control = static_cast<int>(controls_.size()) - (ContinuesControl(j) ? 1 : 0);
+    for (int k = 0; k < phase.intervals && !ContinuesControl(j); ++k) {
       const double whole = *End(LastOfInterval(j)) - begin;
       const double middle = begin + (k + 0.5) * whole / phase.intervals;
       std::vector<std::vector<double>>& control = controls_.emplace_back();
@@ -866,7 +866,7 @@ void HybridTranscription::AddSteps() {
   }
 }
 
-void HybridTranscription::HoldWhatIsGiven() {
+void HybridTranscription::FixGivenValues() {
   ceres::Problem& ceres = lagrangian_.problem();
   const auto hold = [&](std::vector<double>& block, const std::vector<int>& held) {
     ceres.AddParameterBlock(block.data(), static_cast<int>(block.size()));
@@ -1176,7 +1176,7 @@ void HybridTranscription::AddTerms() {
     } else if (term.role == HybridTerm::Role::kInequality) {
       roles.inequalities = rows;
       const bool limits_states = scales_.are_natural && !term.with_control;
-      roles.are_goals = term.at == HybridTerm::At::kEnd || limits_states;
+      roles.are_goals = term.at == HybridTerm::Timing::kEnd || limits_states;
     } else if (!plan_.only_violation) {
       roles.equalities = rows;
     }
@@ -1198,14 +1198,14 @@ void HybridTranscription::AddTerms() {
   };
   for (const HybridTerm& term : problem_.terms) {
     int interval = -1;  // of the control, that of the phase
-    if (term.at == HybridTerm::At::kEnd) {
+    if (term.at == HybridTerm::Timing::kEnd) {
       const int last = num_phases() - 1;
       add(term, last, phases_[last].intervals * substeps_, -1, {}, 1, {End(last)});
       continue;
     }
     for (int j = 0, found = 0; j < num_phases(); ++j) {
       const Phase& phase = phases_[j];
-      if (term.at == HybridTerm::At::kEvent) {
+      if (term.at == HybridTerm::Timing::kEvent) {
         const bool counts = EndsWithEvent(j) && term.CountsAt(functions_, plan_.cuts[j]->mode, plan_.cuts[j]->guard);
         if (!counts || (found++ != term.occurrence && term.occurrence >= 0)) continue;
         if (term.before) {
@@ -1215,7 +1215,7 @@ void HybridTranscription::AddTerms() {
         }
         continue;
       }
-      if (GoesOn(j)) continue;
+      if (ContinuesControl(j)) continue;
       ++interval;
       if (term.interval >= 0 && term.interval != interval) continue;  // of plans on the grid alone
       if (term.mode >= 0 && term.mode != functions_.BaseMode(phase.mode)) continue;
@@ -1234,7 +1234,7 @@ void HybridTranscription::AddTerms() {
 
 void HybridTranscription::AddBounds() {
   for (int j = 0; j < num_phases(); ++j) {
-    const bool is_given = plan_.on_grid && !GoesOn(j) && !EndsWithEvent(j);
+    const bool is_given = plan_.on_grid && !ContinuesControl(j) && !EndsWithEvent(j);
     if (phases_[j].intervals == 0 || is_given) continue;
     lagrangian_.Add(std::make_unique<LengthRow>(problem_.guess.duration),
                     {.inequalities = 1, .affine_blocks = 2},
@@ -1380,7 +1380,7 @@ void HybridTranscription::Control(std::vector<double>* control, std::vector<doub
   for (int j = 0; j < num_phases(); ++j) {
     const int intervals = phases_[j].intervals;
     const double length = times_[boundary_[j + 1]] - times_[boundary_[j]];
-    if (GoesOn(j)) {
+    if (ContinuesControl(j)) {
       durations->back() += length;
     } else {
       durations->insert(durations->end(), intervals, length / intervals);

@@ -117,12 +117,12 @@ class HybridTranscription {
 
   int num_phases() const { return static_cast<int>(phases_.size()); }
   // Whether a phase begins with an event within a control interval, whose control goes on.
-  bool GoesOn(int phase) const {
+  bool ContinuesControl(int phase) const {
     return plan_.on_grid && phase > 0 && plan_.cuts[phase - 1] && !plan_.cuts[phase - 1]->is_switch();
   }
   // Returns the last phase of the control interval with which a phase ends.
   int LastOfInterval(int phase) const {
-    while (phase + 1 < num_phases() && GoesOn(phase + 1)) ++phase;
+    while (phase + 1 < num_phases() && ContinuesControl(phase + 1)) ++phase;
     return phase;
   }
   bool EndsWithEvent(int phase) const {
@@ -151,7 +151,7 @@ class HybridTranscription {
   const HybridFunctions& LawOf(int phase) const;
   bool IsNone(const ModeEvent& event, const ModePoint& at) const;
   bool AreGiven(const std::vector<double*>& blocks) const;
-  bool Lay(const Start& start);
+  bool SetInitialValues(const Start& start);
   void AddSteps();
   void FindScalesOfNewModes();
   bool Projects(int phase, int step) const;
@@ -163,7 +163,7 @@ class HybridTranscription {
   void KeepApart(double margin);
   void AddTerms();
   void AddBounds();
-  void HoldWhatIsGiven();
+  void FixGivenValues();
   void HoldInstants();
   double LeastLength() const;
 

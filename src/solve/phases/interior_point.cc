@@ -22,7 +22,7 @@
 
 namespace saltus {
 
-std::string WhyNoInteriorPoint() {
+std::string ReasonNoInteriorPoint() {
   if (HasInteriorPoint()) return "";
   return "this build has no IPOPT; install it (coinor-libipopt-dev) and build saltus again";
 }
@@ -109,7 +109,7 @@ class InteriorPointProblem final : public Ipopt::TNLP {
       for (int row = function.num_constraints(); row < function.num_rows(); ++row) {
         const double weight = function.IsValue(row) ? 1 : 2 * function.rows[row];
         for (size_t j = 0; j < function.columns.size(); ++j) {
-          gradient[function.columns[j].variable] += weight * function.At(row, function.columns[j]);
+          gradient[function.columns[j].variable] += weight * function.JacobianEntry(row, function.columns[j]);
         }
       }
     }
@@ -131,7 +131,7 @@ class InteriorPointProblem final : public Ipopt::TNLP {
       for (int row = 0; row < function.num_constraints(); ++row) {
         for (const Column& column : function.columns) {
           if (values != nullptr) {
-            *values++ = function.At(row, column);
+            *values++ = function.JacobianEntry(row, column);
           } else {
             *rows++ = first + row;
             *columns++ = column.variable;
@@ -213,7 +213,7 @@ class InteriorPointProblem final : public Ipopt::TNLP {
     int num_constraints() const { return roles().equalities + roles().inequalities; }
     bool IsValue(int row) const { return row < num_constraints() + roles().values; }
     bool HasSquares() const { return num_rows() > num_constraints() + roles().values; }
-    double At(int row, const Column& column) const { return jacobians[column.block](row, column.component); }
+    double JacobianEntry(int row, const Column& column) const { return jacobians[column.block](row, column.component); }
     bool Evaluate(double** out) { return of->function->Evaluate(of->blocks.data(), rows.data(), out); }
   };
 
@@ -265,7 +265,7 @@ class InteriorPointProblem final : public Ipopt::TNLP {
     if (!function->Evaluate(function->pointers.data())) return;
     for (int row = 0; row < function->num_constraints(); ++row) {
       for (const Column& column : function->columns) {
-        const double a = function->At(row, column);
+        const double a = function->JacobianEntry(row, column);
         if (a == 0) continue;
         const double at = *components_[column.variable] - function->rows[row] / a;
         double& upper = upper_[column.variable];

@@ -22,7 +22,7 @@ namespace saltus {
 
 // Whether this library was built with IPOPT. The second returns how to get it; empty if it was.
 bool HasInteriorPoint();
-std::string WhyNoInteriorPoint();
+std::string ReasonNoInteriorPoint();
 
 // Minimizes from where the parameter blocks of `problem` stand, within their bounds in `problem`, and leaves them at
 // the last iterate. Blocks that are constant in `problem`, and components that a manifold holds, are constant. Solves

@@ -160,20 +160,20 @@ class TranscribedPlan {
     }
   }
 
-  PlanAttempt Try(const MayGoOn& may_go_on) {
+  PlanAttempt Try(const ContinuePredicate& may_continue) {
     PlanAttempt attempt;
     if (steps_.empty()) return attempt;
     for (const double margin : kMargins) {
       const bool tied = plan_.HasTies();
       if (tied && margin == 0) continue;
-      if (!Solve(margin, may_go_on, &attempt)) return attempt;
+      if (!Solve(margin, may_continue, &attempt)) return attempt;
       if (attempt.converged && !plan_.on_grid && IsUneven(attempt.times)) {
         steps_ = ShareSteps(run_.num_steps(), attempt.times, empty_);
-        GoOnFrom(attempt);
-        if (!Solve(margin, may_go_on, &attempt)) return attempt;
+        ContinueFrom(attempt);
+        if (!Solve(margin, may_continue, &attempt)) return attempt;
       }
       if (!attempt.converged || (!TouchesApart(attempt) && !crosses_ && (!tied || attempt.realized))) break;
-      GoOnFrom(attempt);
+      ContinueFrom(attempt);
     }
     return attempt;
   }
@@ -184,7 +184,7 @@ class TranscribedPlan {
   // time come early by so much, until rounding no longer decides the roll-out.
   static constexpr double kMargins[] = {0, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4};
 
-  void GoOnFrom(const PlanAttempt& attempt) {
+  void ContinueFrom(const PlanAttempt& attempt) {
     start_ = {{attempt.times.begin(), attempt.times.end() - 1}, attempt.trial};
   }
 
@@ -199,7 +199,7 @@ class TranscribedPlan {
   }
 
   // Solves with a margin. Returns false if the start has no motion.
-  bool Solve(double margin, const MayGoOn& may_go_on, PlanAttempt* attempt) {
+  bool Solve(double margin, const ContinuePredicate& may_continue, PlanAttempt* attempt) {
     std::vector<double> overlaps(plan_.cuts.size());
     int ties = 0;  // the earlier of events at the same time come earlier
     for (size_t k = plan_.cuts.size(); k-- > 0;) {
@@ -222,7 +222,7 @@ class TranscribedPlan {
     options.callback = [&](double cost) {
       if (!run_.Record(cost)) return false;
       read();
-      left = !may_go_on(attempt->times, attempt->speeds);
+      left = !may_continue(attempt->times, attempt->speeds);
       return !left;
     };
     const AugmentedLagrangian::Summary summary = transcription->Minimize(options);
@@ -263,8 +263,8 @@ class TranscribedPlan {
 template <typename Run>
 PlanAttemptOf<typename Run::Motion> TryByTranscription(Run* run, const PlanOf<typename Run::Event>& plan,
                                                        const PlanStartOf<typename Run::Motion>& start,
-                                                       const MayGoOn& may_go_on) {
-  return TranscribedPlan<Run>(run, plan, start).Try(may_go_on);
+                                                       const ContinuePredicate& may_continue) {
+  return TranscribedPlan<Run>(run, plan, start).Try(may_continue);
 }
 
 }  // namespace saltus

@@ -1,6 +1,6 @@
 // The task of a solve along a given sequence of events, its start and its result, for any kind of system.
 //
-// Solvers along sequences of events (phase_attempt.h, sequence_mending.h, search/phase_search.h) know a problem as a
+// Solvers along sequences of events (phase_attempt.h, sequence_update.h, search/phase_search.h) know a problem as a
 // run, a class Run with
 //
 //   Run::Event        what ends a phase: of discs a pair of them, of a hybrid system a guard of a mode. Comparable.
@@ -79,10 +79,11 @@ struct PlanAttemptOf {
 
 // One solve along a plan. `may_go_on` is asked after each iteration with PlanAttempt's times and speeds, if the solver
 // can leave the plan on the way; where it says no, that is the end, and no interruption.
-using MayGoOn = std::function<bool(const std::vector<double>& times, const std::vector<double>& speeds)>;
+using ContinuePredicate = std::function<bool(const std::vector<double>& times, const std::vector<double>& speeds)>;
 template <typename Run>
-using TryPlanOf = std::function<PlanAttemptOf<typename Run::Motion>(
-    const PlanOf<typename Run::Event>&, const PlanStartOf<typename Run::Motion>&, const MayGoOn& may_go_on)>;
+using TryPlanOf = std::function<PlanAttemptOf<typename Run::Motion>(const PlanOf<typename Run::Event>&,
+                                                                    const PlanStartOf<typename Run::Motion>&,
+                                                                    const ContinuePredicate& may_continue)>;
 
 // For each event of a sequence the one of another sequence that it is, or -1: a longest common subsequence.
 template <typename Event>
@@ -177,12 +178,12 @@ inline constexpr double kHardlyBetter = 1e-9;  // relative, of losses
 // Line search from a motion towards another one whose control is known: the best motion met that counts, if its merit
 // is below that of the first.
 template <typename Run>
-std::optional<typename Run::Motion> WalkTo(
+std::optional<typename Run::Motion> LineSearch(
     const Run& run, const typename Run::Motion& to, const typename Run::Motion& from,
     const std::function<bool(const typename Run::Motion&)>& counts = [](const auto&) { return true; }) {
   constexpr int kHalvings = 8;
   std::optional<typename Run::Motion> best;
-  double least = run.MeritOf(run.WithinBounds(from));
+  double least = run.MeritOf(run.ClampToBounds(from));
   if (std::isfinite(least)) least -= kHardlyBetter * std::abs(least);
   const int width = run.control_width();
   double part = 1;

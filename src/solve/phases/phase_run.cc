@@ -66,7 +66,7 @@ Miss LargestMiss(const Scene& scene, const Trial& trial) {
   }
   for (const ViaTerm& term : scene.objective.via) {
     if (!term.hard) continue;
-    const Vec2d q = ValueOf(flight.Before(term.time), term.body, term.quantity);
+    const Vec2d q = ValueOf(flight.StatesBefore(term.time), term.body, term.quantity);
     consider((q - term.target).norm(), term.body, term.quantity);
   }
   for (const SpeedLimit& limit : scene.objective.limits) {
@@ -74,10 +74,10 @@ Miss LargestMiss(const Scene& scene, const Trial& trial) {
       consider(velocity.norm() - limit.max, limit.body, TerminalTerm::Quantity::kVelocity);
     };
     exceed(flight.end().v[limit.body]);
-    if (limit.at == SpeedLimit::At::kEnd) continue;
+    if (limit.at == SpeedLimit::Timing::kEnd) continue;
     for (const Flight::Piece& piece : flight.pieces()) {
       exceed(piece.at_start.v[limit.body]);
-      exceed(piece.After(limit.body, piece.duration).v);
+      exceed(piece.StateAfter(limit.body, piece.duration).v);
     }
   }
   return largest;
@@ -124,13 +124,13 @@ PhaseRun::PhaseRun(std::string_view solver, const SolveRequest& request, const S
   if (guess_.exact.ok) Record(guess_.exact.loss);
 }
 
-std::optional<SolveReport> PhaseRun::WhyNoMotion() {
+std::optional<SolveReport> PhaseRun::MotionFailure() {
   if (!guess_.exact.ok) return Refuse(Termination::kFailed, guess_.exact.reason);
   return std::nullopt;
 }
 
-std::optional<SolveReport> PhaseRun::WhyNotStart() {
-  if (auto refused = WhyNoMotion()) return refused;
+std::optional<SolveReport> PhaseRun::StartFailure() {
+  if (auto refused = MotionFailure()) return refused;
   if (!guess_.exact.only_impacts) {
     const Objective& objective = scene_.objective;
     const bool has_path_costs = !objective.running.empty() || !objective.via.empty() || objective.duration;
@@ -142,8 +142,8 @@ std::optional<SolveReport> PhaseRun::WhyNotStart() {
   return std::nullopt;
 }
 
-std::optional<SolveReport> PhaseRun::WhyNot(const ContactSequence& sequence) {
-  if (auto refused = WhyNotStart()) return refused;
+std::optional<SolveReport> PhaseRun::SequenceFailure(const ContactSequence& sequence) {
+  if (auto refused = StartFailure()) return refused;
   if (sequence.empty()) {
     return Refuse(Termination::kNotApplicable, "there is no contact in the sequence; give one with --sequence");
   }
@@ -158,7 +158,7 @@ double PhaseRun::MeritOf(const Trial& trial) const {
 
 void PhaseRun::MoveWithin(Trial* trial) const { MoveWithinBounds(scene_, trial->control); }
 
-Trial PhaseRun::WithinBounds(Trial trial) const {
+Trial PhaseRun::ClampToBounds(Trial trial) const {
   const std::vector<double> control = trial.control;
   MoveWithin(&trial);
   if (trial.control != control) Simulate(&trial);
@@ -194,7 +194,7 @@ std::vector<std::pair<size_t, int>> PhaseRun::RegimesAtBorders(const PhasePlan& 
   for (size_t k = 0; k < plan.cuts.size(); ++k) {
     if (!plan.cuts[k]) continue;
     const Impact<double>& impact = (hit++)->impact;
-    const double most = MakeImpactConstants(scene_, *plan.cuts[k]).MostDrag() * std::abs(impact.speed);
+    const double most = MakeImpactConstants(scene_, *plan.cuts[k]).MaxStickRatio() * std::abs(impact.speed);
     if (plan.regimes[k] || std::abs(std::abs(impact.sliding) - most) > kNearBorder * most) continue;
     for (const ContactMode mode : {ContactMode::kStick, ContactMode::kSlip}) {
       regimes.emplace_back(k, static_cast<int>(mode));

@@ -23,7 +23,7 @@ using PlanAttempt = PlanAttemptOf<Trial>;
 // Exact motions of a scene, which must outlive this object as the terms must.
 class DiscMotions {
  public:
-  DiscMotions(const Scene& scene, const std::vector<OwnTerm>& terms) : scene_(&scene), terms_(&terms) {}
+  DiscMotions(const Scene& scene, const std::vector<UserTerm>& terms) : scene_(&scene), terms_(&terms) {}
 
   void Simulate(Trial* trial) const { saltus::Simulate(*scene_, *terms_, trial); }
   bool IsRealized(const Trial& trial, const ContactSequence& sequence, const std::vector<double>& times) const {
@@ -38,7 +38,7 @@ class DiscMotions {
 
  private:
   const Scene* scene_;
-  const std::vector<OwnTerm>* terms_;
+  const std::vector<UserTerm>* terms_;
 };
 
 class PhaseRun final : public SequenceRun, private DiscMotions {
@@ -54,16 +54,16 @@ class PhaseRun final : public SequenceRun, private DiscMotions {
   PhaseRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options, Trial start);
 
   const Scene& scene() const { return scene_; }
-  const std::vector<OwnTerm>& terms() const { return terms_; }
+  const std::vector<UserTerm>& terms() const { return terms_; }
   const Trial& guess() const { return guess_; }
   const std::optional<ContactSequence>& given_sequence() const { return options_.sequences.given; }
   int num_steps() const { return scene_.steps; }
   int control_width() const { return scene_.control_width(); }
   // Return a report if there is nothing to start from, with the reason; otherwise std::nullopt. The second also refuses
   // a motion with other contacts than impacts, the third an empty sequence too.
-  std::optional<SolveReport> WhyNoMotion();
-  std::optional<SolveReport> WhyNotStart();
-  std::optional<SolveReport> WhyNot(const ContactSequence& sequence);
+  std::optional<SolveReport> MotionFailure();
+  std::optional<SolveReport> StartFailure();
+  std::optional<SolveReport> SequenceFailure(const ContactSequence& sequence);
 
   // Simulates the control of a trial.
   using DiscMotions::Simulate;
@@ -72,7 +72,7 @@ class PhaseRun final : public SequenceRun, private DiscMotions {
   double MeritOf(const Trial& trial) const;
   // Moves the forces into their bounds; the second simulates what has changed.
   void MoveWithin(Trial* trial) const;
-  Trial WithinBounds(Trial trial) const;
+  Trial ClampToBounds(Trial trial) const;
   // Puts the start of `between` at a part of the way from one motion to another.
   void BlendStart(const Trial& to, const Trial& from, double part, Trial* between) const;
 
@@ -97,12 +97,12 @@ class PhaseRun final : public SequenceRun, private DiscMotions {
   const Certificate& Certify(const Trial& trial);
   // Directions have the shape of the control.
   size_t DirectionSize(const Trial& trial) const { return trial.control.size(); }
-  std::vector<Trial> StepAside(const Trial& trial, const std::vector<double>& direction) const {
-    return saltus::StepAside(scene_, trial, direction);
+  std::vector<Trial> SearchBothSides(const Trial& trial, const std::vector<double>& direction) const {
+    return saltus::SearchBothSides(scene_, trial, direction);
   }
 
   // Returns the reason why a motion has no finite derivative; motions of discs have one.
-  std::string WhyNoDerivative(const Trial&) const { return ""; }
+  std::string ReasonNoDerivative(const Trial&) const { return ""; }
 
   // In words: a sequence; a plan; several in their order; the kinks of the loss that it holds on to; what the trial
   // misses most; where the exact run departs from the sequence.
@@ -111,15 +111,15 @@ class PhaseRun final : public SequenceRun, private DiscMotions {
   std::string NamesOf(const std::vector<PhasePlan>& plans) const;
   std::string KinksOf(const PhasePlan& plan) const;
   std::string DescribeMiss(const Trial& trial) const;
-  std::string WhyNotRealized(const Trial& trial, const ContactSequence& sequence) const {
-    return saltus::WhyNotRealized(scene_, trial.exact, sequence);
+  std::string ReasonNotRealized(const Trial& trial, const ContactSequence& sequence) const {
+    return saltus::ReasonNotRealized(scene_, trial.exact, sequence);
   }
 
   SolveReport Finish(const Trial& trial, double loss, Termination termination, std::string reason = {});
 
  private:
   const Scene& scene_;
-  const std::vector<OwnTerm>& terms_;
+  const std::vector<UserTerm>& terms_;
   Trial guess_;
   struct Certified {
     std::vector<double> control, durations;

@@ -29,7 +29,7 @@ double NearestTime(const Scene& scene, const Flight& flight, const Candidate& c,
   double best = 0.5 * (from + to), least = std::numeric_limits<double>::infinity();
   for (int i = 1; i < kSamples; ++i) {
     const double t = from + (to - from) * i / kSamples;
-    const double gap = GapOf(scene, c, flight.Before(t));
+    const double gap = GapOf(scene, c, flight.StatesBefore(t));
     if (gap < least) {
       least = gap;
       best = t;
@@ -128,20 +128,20 @@ std::string WayByRollouts(const Scene& scene) {
   return scene.no_contact.empty() ? takes : takes + " without no_contact";
 }
 
-std::string WhyNoPhases(const Scene& scene) {
-  if (const std::string reason = WhyNothingToOptimize(scene); !reason.empty()) return reason;
+std::string UnsupportedByPhases(const Scene& scene) {
+  if (const std::string reason = ReasonNothingToOptimize(scene); !reason.empty()) return reason;
   if (!scene.objective.IsSumOfSquares()) {
     return "the loss has a linear term and is no sum of squares: use gd or ceres_lbfgs";
   }
-  const std::string beyond = BeyondPlanes(scene);
+  const std::string beyond = NonPlaneGeometry(scene);
   return beyond.empty()
              ? ""
              : "the scene has " + beyond + "; this solver supports discs and planes only: " + WayByRollouts(scene);
 }
 
-std::string WhyNotExactPhases(const SolveRequest& request) {
+std::string UnsupportedByExactPhases(const SolveRequest& request) {
   if (!IsExact(request)) return "this solver requires exact impacts (contact model event)";
-  if (std::string reason = WhyNoPhases(request.scene); !reason.empty()) return reason;
+  if (std::string reason = UnsupportedByPhases(request.scene); !reason.empty()) return reason;
   if (request.scene.Spins()) {
     return "the scene has discs that spin; the flight that this solver eliminates has no rotation: use ceres_phases";
   }
@@ -149,8 +149,8 @@ std::string WhyNotExactPhases(const SolveRequest& request) {
   return "this solver optimizes a control only, and the scene optimizes something else: use ceres_lm or ceres_phases";
 }
 
-std::string WhyNotEventPhases(const SolveRequest& request) {
-  if (std::string reason = WhyNotExactPhases(request); !reason.empty()) return reason;
+std::string UnsupportedByEventPhases(const SolveRequest& request) {
+  if (std::string reason = UnsupportedByExactPhases(request); !reason.empty()) return reason;
   if (request.scene.objective.effort == 0) {
     return "without a cost of effort the best control is not unique: give objective.effort, or use ceres_phases";
   }
@@ -174,15 +174,15 @@ Scene BeginningAs(const Trial& trial, Scene scene) {
   return scene;
 }
 
-void Simulate(const Scene& scene, const std::vector<OwnTerm>& terms, Trial* trial) {
+void Simulate(const Scene& scene, const std::vector<UserTerm>& terms, Trial* trial) {
   trial->exact = SimulateUpTo(kMostImpactsOfMotion, scene, InitialOf(scene, *trial), trial->control, trial->durations);
   trial->own = {};
   if (terms.empty() || !trial->exact.ok) return;
-  trial->own = EvaluateOwnTerms(terms, scene, FlightOf(scene, *trial), trial->control, trial->durations);
+  trial->own = EvaluateUserTerms(terms, scene, FlightOf(scene, *trial), trial->control, trial->durations);
   trial->exact.loss += trial->own.cost;
 }
 
-Trial GuessTrial(const Scene& scene, const std::vector<OwnTerm>& terms, const std::optional<ControlGuess>& given) {
+Trial GuessTrial(const Scene& scene, const std::vector<UserTerm>& terms, const std::optional<ControlGuess>& given) {
   Trial trial{InitialControl(scene, scene.steps), std::vector<double>(scene.steps, scene.dt()), {}, {}};
   if (given) {
     trial.control = given->control;
@@ -218,7 +218,7 @@ PhaseGuess GuessFrom(const Scene& scene, const Flight& flight, const ContactSequ
     for (int i = k; i < end; ++i) {
       const double begin = from + (i - k) * share;
       guess.times[i] = NearestTime(scene, flight, sequence[i], begin, begin + share);
-      DiscStates x = flight.Before(guess.times[i]);
+      DiscStates x = flight.StatesBefore(guess.times[i]);
       MakeApproach(scene, sequence[i], &x);
       guess.before.push_back(MotionsOf(x));
     }
@@ -232,7 +232,7 @@ Certificate CertifyTrial(const Scene& scene, const Trial& trial) {
   return Certify(scene, InitialState(scene), trial.control, trial.durations);
 }
 
-std::vector<Trial> StepAside(const Scene& scene, const Trial& trial, const std::vector<double>& direction) {
+std::vector<Trial> SearchBothSides(const Scene& scene, const Trial& trial, const std::vector<double>& direction) {
   // The size of the control, in the mean over time; at least a force that moves a disc by its radius.
   double size = 0;
   const size_t width = scene.control_width();
@@ -251,7 +251,7 @@ std::vector<Trial> StepAside(const Scene& scene, const Trial& trial, const std::
   });
 }
 
-std::string WhyNotRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence) {
+std::string ReasonNotRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence) {
   if (!run.ok) return run.reason;
   if (!run.only_impacts) return "in simulation of the solution discs rest on or graze each other or a plane";
   const std::string planned = ContactSequenceToString(scene, sequence);
@@ -260,8 +260,8 @@ std::string WhyNotRealized(const Scene& scene, const ExactRun& run, const Contac
   return "the optimum for the sequence " + planned + " is not physical: in simulation the sequence is " + met;
 }
 
-std::string WhyNotOptimal(const Scene& scene, const ContactSequence& sequence, bool touches, const ExactRun& run) {
-  if (!touches) return WhyNotRealized(scene, run, sequence);
+std::string ReasonNotOptimal(const Scene& scene, const ContactSequence& sequence, bool touches, const ExactRun& run) {
+  if (!touches) return ReasonNotRealized(scene, run, sequence);
   return "in the best motion for the sequence " + ContactSequenceToString(scene, sequence) +
          " a pair just touches, where the loss has a kink: conditions of optimality are not checked";
 }

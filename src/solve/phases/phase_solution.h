@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "control/own_term_cost.h"
+#include "control/user_term_cost.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/solve/solver.h"
@@ -23,15 +23,15 @@ std::string WayByRollouts(const Scene& scene);
 
 // Return the reasons why a scene has no phases between impacts, why exact phases do not support a request, and why arcs
 // in closed form between impacts do not; empty if they do.
-std::string WhyNoPhases(const Scene& scene);
-std::string WhyNotExactPhases(const SolveRequest& request);
-std::string WhyNotEventPhases(const SolveRequest& request);
+std::string UnsupportedByPhases(const Scene& scene);
+std::string UnsupportedByExactPhases(const SolveRequest& request);
+std::string UnsupportedByEventPhases(const SolveRequest& request);
 
 // A control on intervals of any length, and what it does in exact dynamics.
 struct Trial {
   std::vector<double> control, durations;
   ExactRun exact;  // its loss with the costs of a user's own
-  OwnValues own;
+  UserTermValues own;
   std::vector<double> initial = {};  // where it is to be found; empty: the scene's
 };
 
@@ -44,9 +44,9 @@ Scene BeginningAs(const Trial& trial, Scene scene);
 inline constexpr int kMostImpactsOfMotion = 1000;
 
 // Runs trial->control, up to so many impacts.
-void Simulate(const Scene& scene, const std::vector<OwnTerm>& terms, Trial* trial);
+void Simulate(const Scene& scene, const std::vector<UserTerm>& terms, Trial* trial);
 // The control to start from: `given`, or else the scene's.
-Trial GuessTrial(const Scene& scene, const std::vector<OwnTerm>& terms = {},
+Trial GuessTrial(const Scene& scene, const std::vector<UserTerm>& terms = {},
                  const std::optional<ControlGuess>& given = std::nullopt);
 // Precondition: trial.exact.ok.
 Flight FlightOf(const Scene& scene, const Trial& trial);
@@ -85,12 +85,12 @@ PhaseSolution ShareBetter(const Scene& scene, PhaseSolution best, const PhaseMin
 Certificate CertifyTrial(const Scene& scene, const Trial& trial);
 
 // Returns better motions on both sides of a motion along a direction of its control (StepsToBothSides).
-std::vector<Trial> StepAside(const Scene& scene, const Trial& trial, const std::vector<double>& direction);
+std::vector<Trial> SearchBothSides(const Scene& scene, const Trial& trial, const std::vector<double>& direction);
 
 // For a person: where the exact run departs from the sequence.
-std::string WhyNotRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence);
+std::string ReasonNotRealized(const Scene& scene, const ExactRun& run, const ContactSequence& sequence);
 // For a person: why a minimum along the sequence that touches, or whose control does not run so, is no optimum.
-std::string WhyNotOptimal(const Scene& scene, const ContactSequence& sequence, bool touches, const ExactRun& run);
+std::string ReasonNotOptimal(const Scene& scene, const ContactSequence& sequence, bool touches, const ExactRun& run);
 
 // The sequence that the options ask for; that of the initial guess unless one is given.
 ContactSequence SequenceFor(const SolverOptions& options, const Trial& guess);

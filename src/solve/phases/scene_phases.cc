@@ -8,9 +8,9 @@
 #include <utility>
 
 #include "control/control_bounds.h"
-#include "control/own_term_cost.h"
 #include "control/phase_costs.h"
 #include "control/scene_constraints.h"
+#include "control/user_term_cost.h"
 
 namespace saltus {
 namespace {
@@ -99,7 +99,9 @@ class TermMaker {
     ReadState(Successive(4 * scene_.num_bodies() + kSpin * body, kSpin), scene_.bodies[body].radius);
   }
   void ReadForce(int body) { ReadControl(Successive(2 * PlaceIn(scene_.control.bodies, body), 2)); }
-  void ReadTorque(int body) { ReadControl({2 * scene_.num_controlled() + PlaceIn(scene_.control.turned, body)}); }
+  void ReadTorque(int body) {
+    ReadControl({2 * scene_.num_controlled() + PlaceIn(scene_.control.torque_bodies, body)});
+  }
   void ReadTime() { picked_.push_back({static_cast<int>(sizes_.size()) - 1 - term_.with_length, {0}}); }
   void ReadLength() { picked_.push_back({static_cast<int>(sizes_.size()) - 1, {0}}); }
 
@@ -156,9 +158,9 @@ std::vector<double> WaypointsOf(const Scene& scene) {
   return {times.begin(), times.end()};
 }
 
-ScenePhases::ScenePhases(const Scene& scene, const std::vector<OwnTerm>& terms, const PlanOf<Candidate>& plan,
+ScenePhases::ScenePhases(const Scene& scene, const std::vector<UserTerm>& terms, const PlanOf<Candidate>& plan,
                          const std::vector<double>& waypoints, const ContactSequence& apart, const Simulator* flight)
-    : scene_(scene), problem_(HybridProblemOf(WithoutSteps(scene))) {
+    : scene_(scene), problem_(MakeHybridProblem(WithoutSteps(scene))) {
   if (flight != nullptr) problem_.system = SceneSystemOf(WithoutSteps(scene), SceneParameters::kNone, flight);
   const HybridFunctions& functions = problem_.system.functions();
   const ContactSequence pairs = AllPairs(scene);
@@ -198,11 +200,11 @@ ScenePhases::ScenePhases(const Scene& scene, const std::vector<OwnTerm>& terms, 
   AddEfforts();
   for (const RunningTerm& term : scene.objective.running) AddRunning(term);
   for (const SpeedLimit& limit : scene.objective.limits) AddLimit(limit);
-  for (const OwnTerm& term : terms) AddOwn(term);
-  if (scene.optimize == Optimize::kPosition) KeepApartAtStart();
+  for (const UserTerm& term : terms) AddOwn(term);
+  if (scene.optimize == Optimize::kPosition) AddSeparationAtStart();
 }
 
-// Of each disc by itself.
+// Adds the effort of each disc by itself.
 void ScenePhases::AddEfforts() {
   const int forces = 2 * scene_.num_controlled(), width = scene_.control_width();
   if (scene_.objective.effort == 0) return;
@@ -218,7 +220,7 @@ void ScenePhases::AddRunning(const RunningTerm& term) {
   const bool pushed = Has(scene_.control.bodies, term.body);
   TermMaker maker(scene_,
                   {.name = "running term",
-                   .at = HybridTerm::At::kEachInterval,
+                   .at = HybridTerm::Timing::kEachInterval,
                    .with_state = true,
                    .with_control = pushed,
                    .with_time = true,
@@ -242,13 +244,13 @@ void ScenePhases::AddLimit(const SpeedLimit& limit) {
     maker.ReadState(limit.body);
     problem_.terms.push_back(std::move(maker).Make(MakeFunction(SpeedBound{limit.max}, {4}, SpeedBound::kRows)));
   };
-  add({.at = HybridTerm::At::kEnd, .with_state = true});
-  if (limit.at == SpeedLimit::At::kEnd) return;
+  add({.at = HybridTerm::Timing::kEnd, .with_state = true});
+  if (limit.at == SpeedLimit::Timing::kEnd) return;
   const bool coasts = !Has(scene_.control.bodies, limit.body);
   if (coasts) {
-    add({.at = HybridTerm::At::kEnd, .with_initial = true});
+    add({.at = HybridTerm::Timing::kEnd, .with_initial = true});
   } else {
-    add({.at = HybridTerm::At::kEachInterval, .with_state = true});
+    add({.at = HybridTerm::Timing::kEachInterval, .with_state = true});
   }
   const ContactSequence pairs = AllPairs(scene_);
   std::set<int> guards;
@@ -261,7 +263,7 @@ void ScenePhases::AddLimit(const SpeedLimit& limit) {
     if (!takes_part) continue;
     for (const bool before : {true, false}) {
       if (!before && !coasts) continue;
-      add({.at = HybridTerm::At::kEvent,
+      add({.at = HybridTerm::Timing::kEvent,
            .event = problem_.system.functions().GuardName(0, guard),
            .before = before,
            .with_state = true});
@@ -269,12 +271,12 @@ void ScenePhases::AddLimit(const SpeedLimit& limit) {
   }
 }
 
-void ScenePhases::AddOwn(const OwnTerm& term) {
-  using enum OwnTerm::Role;
-  const bool at_end = term.at == OwnTerm::At::kEnd;
+void ScenePhases::AddOwn(const UserTerm& term) {
+  using enum UserTerm::Role;
+  const bool at_end = term.at == UserTerm::Timing::kEnd;
   TermMaker maker(scene_,
                   {.name = term.name,
-                   .at = at_end ? HybridTerm::At::kEnd : HybridTerm::At::kEachInterval,
+                   .at = at_end ? HybridTerm::Timing::kEnd : HybridTerm::Timing::kEachInterval,
                    .role = term.role == kCost       ? HybridTerm::Role::kCost
                            : term.role == kEquality ? HybridTerm::Role::kEquality
                                                     : HybridTerm::Role::kInequality,
@@ -287,11 +289,11 @@ void ScenePhases::AddOwn(const OwnTerm& term) {
   for (const int body : term.rotations) maker.ReadRotation(body);
   for (const int body : term.torques) maker.ReadTorque(body);
   if (term.with_length) maker.ReadLength();  // the last block, or the final time
-  problem_.terms.push_back(std::move(maker).Make(std::make_shared<OwnTermCost>(term, scene_)));
+  problem_.terms.push_back(std::move(maker).Make(std::make_shared<UserTermCost>(term, scene_)));
 }
 
 // Adds that discs do not overlap at the start, if their positions are optimized.
-void ScenePhases::KeepApartAtStart() {
+void ScenePhases::AddSeparationAtStart() {
   const auto is_free = [&](int body) { return Has(scene_.free, body); };
   for (const Candidate& c : AllPairs(scene_)) {
     if (!is_free(c.a) && (c.plane || !is_free(c.b))) continue;

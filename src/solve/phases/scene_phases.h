@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "saltus/control/contact_sequence.h"
-#include "saltus/control/own_term.h"
+#include "saltus/control/user_term.h"
 #include "saltus/hybrid/hybrid_problem.h"
 #include "saltus/simulate/simulator.h"
 #include "solve/phases/hybrid_transcription.h"
@@ -24,7 +24,7 @@ class ScenePhases {
   // have some. The pairs of `apart` never come nearer than the distance at which they touch, except for the phases that
   // an impact of theirs begins or ends. Discs fly as in a step of `flight`, which must outlive this object and fly over
   // any length; if it is null, exactly. `terms` must outlive it too.
-  ScenePhases(const Scene& scene, const std::vector<OwnTerm>& terms, const PlanOf<Candidate>& plan,
+  ScenePhases(const Scene& scene, const std::vector<UserTerm>& terms, const PlanOf<Candidate>& plan,
               const std::vector<double>& waypoints, const ContactSequence& apart, const Simulator* flight = nullptr);
 
   // Makes the transcription with so many steps of each phase, along the cuts at these times, with events that come
@@ -40,8 +40,8 @@ class ScenePhases {
   void AddEfforts();
   void AddRunning(const RunningTerm& term);
   void AddLimit(const SpeedLimit& limit);
-  void AddOwn(const OwnTerm& term);
-  void KeepApartAtStart();
+  void AddOwn(const UserTerm& term);
+  void AddSeparationAtStart();
 
   Scene scene_;
   HybridProblem problem_;

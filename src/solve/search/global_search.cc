@@ -22,7 +22,7 @@ constexpr double kRelativeGap = 1e-6;  // of the loss
 // Solves along the sequence of the solution on more intervals, and takes the result if it is better, with a bound for
 // controls on as many intervals.
 void Refine(const SolveRequest& request, const SolverOptions& options, SolveReport* report) {
-  if (request.scene.steps >= kFineSteps || !WhyNotEventPhases(request).empty()) return;
+  if (request.scene.steps >= kFineSteps || !UnsupportedByEventPhases(request).empty()) return;
   const ExactRun run = SimulateExactly(request.scene,
                                        report->solution.initial_state,
                                        report->solution.control,
@@ -96,10 +96,10 @@ std::string Describe(const SolveRequest& request, const GlobalBound& bound, doub
 
 }  // namespace
 
-std::string WhyNotGlobal(const SolveRequest& request) {
-  if (std::string why = WhyNotModeSearch(request); !why.empty()) return why;
+std::string UnsupportedByGlobalSearch(const SolveRequest& request) {
+  if (std::string why = UnsupportedByModeSearch(request); !why.empty()) return why;
   if (!request.terms.empty()) return "the global bound does not support user-defined cost terms";
-  return WhyNotBounded(request.scene);
+  return UnsupportedByGlobalBound(request.scene);
 }
 
 SolveReport SolveByGlobal(const SolveRequest& request, const SolverOptions& options) {

@@ -54,7 +54,7 @@ class HybridSearch {
     for (const FreeVariable& variable : FreeVariables(free, width, /*num_intervals=*/0)) {
       if (variable.kind == FreeVariable::Kind::kDuration) continue;
       const double part = random.Uniform(0, 1), range = variable.max - variable.min;
-      double& value = variable.In(motion);
+      double& value = variable.Access(motion);
       const double size = std::max(1.0, std::abs(value));
       value = std::isfinite(range) ? variable.min + part * range : value + (2 * part - 1) * size;
     }
@@ -114,15 +114,15 @@ class HybridSearch {
       }
       HybridPhaseRun run("mode_search", at, own, from, search_start.sequence);
       if (!search_start.is_guess) run.set_one_of_many(most_loss);
-      if (auto refused = run.WhyNotStart()) return *refused;
-      SolveReport report = MendHybrid(&run);
+      if (auto refused = run.StartFailure()) return *refused;
+      SolveReport report = UpdateHybridSequence(&run);
       // The start of the user is worth a solve with second derivatives, where one without them finds no optimum.
       const bool ended =
           report.termination == Termination::kConverged || report.termination == Termination::kInterrupted;
       if (search_start.is_guess && !ended && HasInteriorPoint()) {
         HybridPhaseRun other("mode_search", at, own, from, search_start.sequence);
         other.set_algorithm(AugmentedLagrangian::Algorithm::kInteriorPoint);
-        if (SolveReport second = MendHybrid(&other); EndsBetter(second, report)) report = std::move(second);
+        if (SolveReport second = UpdateHybridSequence(&other); EndsBetter(second, report)) report = std::move(second);
       }
       finding.trial = {report.solution.control,
                        report.solution.durations,
@@ -289,7 +289,7 @@ class HybridSearch {
 
 SolveReport SolveHybridByModeSearch(const HybridProblem& problem, const SolverOptions& options) {
   HybridPhaseRun run("mode_search", problem, options);
-  if (auto refused = run.WhyNotStart()) return *refused;
+  if (auto refused = run.StartFailure()) return *refused;
   SolveReport report = SequenceSearch(&run, HybridSearch(run, problem)).Search();
   HybridSimulator simulator(problem.system, problem.integration);
   if (!report.history.losses.empty() && simulator.Rollout(SolutionOf(problem, report))) {

@@ -14,7 +14,7 @@
 namespace saltus {
 
 // In SolveReport::optima an event stands in a sequence as {mode, guard}. Never worse than ceres_phases from the initial
-// guess, unless a limit cuts that solve short. Precondition: WhyNotHybridPhases is empty.
+// guess, unless a limit cuts that solve short. Precondition: UnsupportedByHybridPhases() is empty.
 SolveReport SolveHybridByModeSearch(const HybridProblem& problem, const SolverOptions& options);
 
 }  // namespace saltus

@@ -17,9 +17,9 @@ constexpr double kRounding = 1e-9;  // by which a bound is lowered, relative
 constexpr int kMostImpacts = 1000;  // of discs that nobody pushes, in their own motion
 
 // The motion of the discs without forces, as long as no pushed disc touches them.
-class OwnMotion {
+class UncollidedMotion {
  public:
-  OwnMotion(const Scene& scene, const std::vector<bool>& pushed) : place_(scene.num_bodies(), -1) {
+  UncollidedMotion(const Scene& scene, const std::vector<bool>& pushed) : place_(scene.num_bodies(), -1) {
     Scene others = scene;
     others.bodies.clear();
     others.control = {};
@@ -55,7 +55,7 @@ class OwnMotion {
 
   bool known() const { return known_; }
   double fastest() const { return fastest_; }
-  Vec2d Position(int body, double t) const { return flight_->Before(t).p[place_[body]]; }
+  Vec2d Position(int body, double t) const { return flight_->StatesBefore(t).p[place_[body]]; }
   Vec2d End(int body, TerminalTerm::Quantity quantity) const {
     const DiscStates& end = flight_->end();
     return quantity == TerminalTerm::Quantity::kPosition ? end.p[place_[body]] : end.v[place_[body]];
@@ -75,7 +75,7 @@ class LeastLosses {
 
   bool known() const { return own_.known(); }
 
-  double WithoutImpact() const {
+  double BoundWithoutImpact() const {
     double loss = 0;
     for (int i = 0; i < scene_.num_bodies(); ++i) {
       if (pushed_[i]) loss += FreeOptimum(i);
@@ -88,7 +88,7 @@ class LeastLosses {
     return loss;
   }
 
-  double WithFirst(const Candidate& pair) const { return WithEffortAtLeast(EffortToTouch(pair)); }
+  double BoundWithFirstImpact(const Candidate& pair) const { return BoundWithMinimumEffort(EffortToTouch(pair)); }
 
  private:
   // The least loss of a pushed disc that flies alone: over what it deviates from its drift at the end, in position and
@@ -177,7 +177,7 @@ class LeastLosses {
   }
 
   // The least of E + what terms miss at the reach that effort E >= `least` gives, over E: convex in sqrt(E).
-  double WithEffortAtLeast(double least) const {
+  double BoundWithMinimumEffort(double least) const {
     const double t = scene_.duration;
     double energy = 0, mass = 0, lightest = std::numeric_limits<double>::infinity();
     for (int i = 0; i < scene_.num_bodies(); ++i) {
@@ -218,7 +218,7 @@ class LeastLosses {
 
   const Scene& scene_;
   const std::vector<bool>& pushed_;
-  OwnMotion own_;
+  UncollidedMotion own_;
 };
 
 }  // namespace
@@ -227,15 +227,15 @@ LossBound::LossBound(const Scene& scene) : pushed_(scene.num_bodies(), false) {
   for (const int body : scene.control.bodies) pushed_[body] = true;
   const LeastLosses bounds(scene, pushed_);
   if (!bounds.known()) return;  // a sum of squares is not negative
-  lowest_ = without_impact_ = (1 - kRounding) * bounds.WithoutImpact();
+  lowest_ = without_impact_ = (1 - kRounding) * bounds.BoundWithoutImpact();
   for (const Candidate& pair : AllPairs(scene)) {
     if (!pushed_[pair.a] && (pair.plane || !pushed_[pair.b])) continue;
-    first_.push_back({pair, (1 - kRounding) * bounds.WithFirst(pair)});
+    first_.push_back({pair, (1 - kRounding) * bounds.BoundWithFirstImpact(pair)});
     lowest_ = std::min(lowest_, first_.back().loss);
   }
 }
 
-double LossBound::Along(const ContactSequence& sequence) const {
+double LossBound::BoundAlongSequence(const ContactSequence& sequence) const {
   for (const Candidate& pair : sequence) {
     const auto first =
         std::find_if(first_.begin(), first_.end(), [&](const First& known) { return known.pair == pair; });

@@ -24,13 +24,13 @@ namespace saltus {
 
 class LossBound {
  public:
-  // Precondition: WhyNotEventPhases is empty.
+  // Precondition: UnsupportedByEventPhases() is empty.
   explicit LossBound(const Scene& scene);
 
   // The bound for all motions.
   double lowest() const { return lowest_; }
   // The bound for motions along a sequence: those without an impact of a pushed disc, or those with this first one.
-  double Along(const ContactSequence& sequence) const;
+  double BoundAlongSequence(const ContactSequence& sequence) const;
 
  private:
   struct First {

@@ -24,7 +24,7 @@
 #include "solve/search/search_solve.h"
 #include "solve/search/search_starts.h"
 #include "solve/search/sequence_search.h"
-#include "solve/search/task_line.h"
+#include "solve/search/task_queue.h"
 
 namespace saltus {
 namespace {
@@ -123,7 +123,7 @@ class SearchQueue {
 // The best motions that are no optima, one of each sequence.
 class RunnersUp {
  public:
-  void Meet(const Trial& trial) {
+  void ConsiderTrial(const Trial& trial) {
     const auto known = std::find_if(motions_.begin(), motions_.end(), [&](const auto& other) {
       return other.second->exact.contacts == trial.exact.contacts;
     });
@@ -159,16 +159,16 @@ class ModeSearch : LimitedSearch {
     if (options_.sequences.search) {
       BeginWithStarts(first);
     } else {
-      starts_left_.push_back(AlongGuess(first));
+      starts_left_.push_back(MakeGuessTask(first));
     }
-    WorkOff([this] { return Next(); });
+    RunAll([this] { return Next(); });
     if (!end_ && HasMore()) {
-      Leave(IsLong() ? "no improvement in most of the work"
-                     : "no improvement in " + std::to_string(kPatience) + " solves");
+      AddLimitRemark(IsLong() ? "no improvement in most of the work"
+                              : "no improvement in " + std::to_string(kPatience) + " solves");
     }
     if (options_.sequences.search && !end_) {
       ShareBest();
-      MendUnstationary();
+      UpdateUnstationary();
     }
     return Report();
   }
@@ -189,7 +189,7 @@ class ModeSearch : LimitedSearch {
 
   // ----------------------------------------------------------------------------------------------------------- solves
 
-  SearchTask AlongGuess(const ContactSequence& sequence) const {
+  SearchTask MakeGuessTask(const ContactSequence& sequence) const {
     return {.sequence = sequence, .from = std::make_shared<const Trial>(run_.guess())};
   }
 
@@ -197,7 +197,7 @@ class ModeSearch : LimitedSearch {
     const std::vector<Vec2d>& guess = scene_.control.initial;
     if (run_.guess().exact.only_impacts) {
       queue_.NoteTried(first);
-      starts_left_.push_back(AlongGuess(first));
+      starts_left_.push_back(MakeGuessTask(first));
     }
     starts_left_.push_back({.kind = SearchTask::Kind::kShoot, .forces = guess});
     starts_left_.push_back({.kind = SearchTask::Kind::kDescend, .forces = guess});
@@ -244,17 +244,17 @@ class ModeSearch : LimitedSearch {
   // Returns the next task: first those of updates of sequences, then those that updates do not reach.
   std::optional<SearchTask> Next() {
     if (!options_.sequences.search || !starts_left_.empty() || around_best_ > 0) return TakeStart();
-    if (auto mend = MendBest(best_is_mended_ ? 1 - kSameOptimum : kMuchBetter)) return mend;
+    if (auto mend = UpdateBest(best_is_mended_ ? 1 - kSameOptimum : kMuchBetter)) return mend;
     while (HasMore()) {
       if (solves_ - last_better_ > kPatience || IsLong()) {
-        if (auto mend = MendBest(1 - kSameOptimum)) return mend;
+        if (auto mend = UpdateBest(1 - kSameOptimum)) return mend;
         if (!IsLong() && AddMoreStarts(/*coarse=*/false)) return TakeStart();
         return std::nullopt;
       }
       SearchTask task = queue_.TakeFirst();
-      if (bound_.Along(task.sequence) <= Bound()) return task;
+      if (bound_.BoundAlongSequence(task.sequence) <= Bound()) return task;
     }
-    if (auto mend = MendBest(1 - kSameOptimum)) return mend;
+    if (auto mend = UpdateBest(1 - kSameOptimum)) return mend;
     // The neighbours of the optima to which few starts lead may all be worse than a motion to which none of them leads.
     const bool may_find_more = rounds_ < kRoundsAtEnd && !IsLong() && LacksPairs() && !(HasBestOptimum() && IsProved());
     if (drawn_ == solves_ && may_find_more && AddMoreStarts(/*coarse=*/true)) return TakeStart();
@@ -286,7 +286,7 @@ class ModeSearch : LimitedSearch {
 
   // The best motion, if it is no optimum and below this part of the loss of the last one: there may be a kink. One at a
   // time.
-  std::optional<SearchTask> MendBest(double part) {
+  std::optional<SearchTask> UpdateBest(double part) {
     if (mends_ || HasBestOptimum() || mended_ >= kMostMended || !best_trial_.exact.only_impacts) return std::nullopt;
     if (!(best_trial_.exact.loss < part * best_mended_)) return std::nullopt;
     ++mended_;
@@ -305,19 +305,19 @@ class ModeSearch : LimitedSearch {
     const double before = best_optimum_.exact.loss;
     std::optional<SearchTask> share{
         {.kind = SearchTask::Kind::kShare, .sequence = sequence, .from = std::make_shared<const Trial>(best)}};
-    WorkOff([&] { return std::exchange(share, std::nullopt); });
+    RunAll([&] { return std::exchange(share, std::nullopt); });
     const double now = best_optimum_.exact.loss;
     if (optimum && now < before) std::erase_if(optima_, [&](const auto& known) { return known.loss == before; });
   }
 
   // The best optimum, where arcs have left it off a condition of optimality.
-  void MendUnstationary() {
+  void UpdateUnstationary() {
     if (end_ || !HasBestOptimum()) return;
     if (!certificate_) certificate_ = CertifyTrial(scene_, best_optimum_);
     if (!IsOff(certificate_)) return;
     std::optional<SearchTask> mend{
         {.kind = SearchTask::Kind::kMend, .from = std::make_shared<const Trial>(best_optimum_)}};
-    WorkOff([&] { return std::exchange(mend, std::nullopt); });
+    RunAll([&] { return std::exchange(mend, std::nullopt); });
   }
 
   // The result of a solve, and whether nothing has cut it short.
@@ -326,8 +326,8 @@ class ModeSearch : LimitedSearch {
     bool whole = false;
   };
 
-  void WorkOff(const std::function<std::optional<SearchTask>()>& next) {
-    TaskLine<SearchTask, Outcome> line;
+  void RunAll(const std::function<std::optional<SearchTask>()>& next) {
+    TaskQueue<SearchTask, Outcome> line;
     line.draw = [&]() -> std::optional<SearchTask> {
       if (end_) return std::nullopt;
       std::optional<SearchTask> task = next();
@@ -346,10 +346,10 @@ class ModeSearch : LimitedSearch {
     line.look = [this](const SearchTask& task, Outcome outcome) {
       if (task.kind == SearchTask::Kind::kMend) mends_ = false;
       if (outcome.whole) {
-        Look(task, std::move(outcome.finding));
+        ConsumeResult(task, std::move(outcome.finding));
         if (!run_.Record(BestLoss())) end_ = End::kInterrupt;
       } else {
-        if (outcome.finding.trial.exact.ok) Meet(outcome.finding.trial, "");
+        if (outcome.finding.trial.exact.ok) ConsiderTrial(outcome.finding.trial, "");
         EndByStop();
       }
     };
@@ -357,17 +357,17 @@ class ModeSearch : LimitedSearch {
       using Kind = SearchTask::Kind;
       return task.kind == Kind::kMend || task.kind == Kind::kDescend ? kAheadOfLong : 0;
     };
-    line.WorkOff(NumThreads(options_.threads));
+    line.RunAll(NumThreads(options_.threads));
   }
 
   // ------------------------------------------------------------------------------------------------- what solves found
 
-  void Look(const SearchTask& task, SearchFinding finding) {
+  void ConsumeResult(const SearchTask& task, SearchFinding finding) {
     ++solves_;
     jacobians_ += finding.jacobians;
     searched_.work += finding.work;
     if (task.kind == SearchTask::Kind::kAlong) tried_.insert(KeyOf(task.sequence));
-    Say(task);
+    ReportStatus(task);
     const Trial& trial = finding.trial;
     if (!trial.exact.ok) return;
     const bool is_best = trial.exact.loss < (1 - kSameOptimum) * BestLoss();
@@ -377,16 +377,16 @@ class ModeSearch : LimitedSearch {
       best_is_mended_ = task.kind == SearchTask::Kind::kMend;
       best_along_ = task.kind == SearchTask::Kind::kAlong ? task.sequence : trial.exact.contacts;
     }
-    Meet(trial, finding.remark);
+    ConsiderTrial(trial, finding.remark);
     for (const Trial& aside : finding.aside) {
-      Meet(aside, "");
+      ConsiderTrial(aside, "");
       if (options_.sequences.search) queue_.AddMotion(aside);
     }
     if (!trial.exact.only_impacts) return;
     if (finding.optimal) {
       Keep(trial, std::move(finding.certificate));
     } else if (task.kind != SearchTask::Kind::kMend) {
-      runners_up_.Meet(trial);
+      runners_up_.ConsiderTrial(trial);
     }
     if (!options_.sequences.search) {
       if (!finding.optimal) failure_ = finding.remark;
@@ -403,7 +403,7 @@ class ModeSearch : LimitedSearch {
     if (!IsNew(trial)) return;
     // Where discs meet again and again, each optimum has a neighbour with one impact more.
     if (trial.exact.contacts.size() > best_trial_.exact.contacts.size() + kMoreImpacts) {
-      return Leave("neighbours of motions with many more impacts than the best");
+      return AddLimitRemark("neighbours of motions with many more impacts than the best");
     }
     expanded_.insert(ExpansionOf(trial));
     AddNeighboursOf(trial);
@@ -417,7 +417,7 @@ class ModeSearch : LimitedSearch {
     for (ContactSequence& next : neighbours) {
       queue_.AddSequence(motion, std::move(next), sharing);
     }
-    if (left_out) Leave("neighbours far from a touch");
+    if (left_out) AddLimitRemark("neighbours far from a touch");
   }
 
   // Motions whose neighbours are queued: by sequence and loss.
@@ -430,7 +430,7 @@ class ModeSearch : LimitedSearch {
   }
 
   // A motion that is no optimum, or none yet, but may be better than all.
-  void Meet(const Trial& trial, const std::string& remark) {
+  void ConsiderTrial(const Trial& trial, const std::string& remark) {
     if (!(trial.exact.loss < best_trial_.exact.loss)) return;
     best_trial_ = trial;
     best_remark_ = remark;
@@ -466,7 +466,7 @@ class ModeSearch : LimitedSearch {
     return !(best_trial_.exact.loss < loss - kSameOptimum * std::abs(loss));
   }
 
-  void Say(const SearchTask& task) const {
+  void ReportStatus(const SearchTask& task) const {
     if (!options_.monitor.status) return;
     const bool along = task.kind == SearchTask::Kind::kAlong;
     options_.monitor.status(Status(ConvertLoss(BestLoss(), scene_.units, {})) + ", the last " +
@@ -476,8 +476,8 @@ class ModeSearch : LimitedSearch {
   // -------------------------------------------------------------------------------------------------------------- end
 
   SolveReport Report() {
-    if (queue_.has_forgotten()) Leave("the limit of memory");
-    const std::string limits = LeaveAtEnd();
+    if (queue_.has_forgotten()) AddLimitRemark("the limit of memory");
+    const std::string limits = LimitsAtEnd();
     const size_t found = optima_.size();
     const bool best_is_optimum = HasBestOptimum();
     searched_.sequences = static_cast<int>(tried_.size());
@@ -546,16 +546,16 @@ class ModeSearch : LimitedSearch {
 
 }  // namespace
 
-std::string WhyNotModeSearch(const SolveRequest& request) {
-  return IsExact(request) ? WhyNotPhases(request) : WhyNotEventPhases(request);
+std::string UnsupportedByModeSearch(const SolveRequest& request) {
+  return IsExact(request) ? UnsupportedByCeresPhases(request) : UnsupportedByEventPhases(request);
 }
 
 SolveReport SolveByModeSearch(const SolveRequest& request, const SolverOptions& options) {
   const bool arcs_can =
-      request.terms.empty() && BeyondTerminalCost(request.scene).empty() && WhyNotEventPhases(request).empty();
+      request.terms.empty() && NonTerminalFeatures(request.scene).empty() && UnsupportedByEventPhases(request).empty();
   if (!arcs_can) return SearchByPhases(request, options);
   PhaseRun run("mode_search", request, options);
-  if (auto refused = options.sequences.search ? run.WhyNoMotion() : run.WhyNotStart()) return *refused;
+  if (auto refused = options.sequences.search ? run.MotionFailure() : run.StartFailure()) return *refused;
   return ModeSearch(&run, request).Search(SequenceFor(options, run.guess()));
 }
 

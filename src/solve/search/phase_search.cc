@@ -28,7 +28,7 @@ constexpr size_t kMostSolves = 3;   // from such starts
 
 // The problem without what closed arcs and shooting do not take; hard terms are costs.
 Scene Relaxed(const Scene& given) {
-  Scene scene = WithTargets(given);
+  Scene scene = ReplaceRegionsByTargets(given);
   scene.control.max.clear();
   scene.control.max_norm.clear();
   scene.control.max_torque.clear();
@@ -56,7 +56,7 @@ class DiscSearch {
   RelaxedOptima<PhaseRun> SolveRelaxed(const SolverOptions& options) const {
     RelaxedOptima<PhaseRun> optima;
     SolveRequest relaxed{Relaxed(scene_), request_.contact};
-    if (!WhyNotEventPhases(relaxed).empty()) return optima;
+    if (!UnsupportedByEventPhases(relaxed).empty()) return optima;
     const SolveReport found = SolveByModeSearch(relaxed, options);
     optima.evaluations = found.work.evaluations;
     if (found.searched) optima.work = found.searched->work;
@@ -86,12 +86,12 @@ class DiscSearch {
   Finding SolveAlong(Trial from, const SearchStartOf<Run>& start, double /*most_loss*/, SolverOptions options) const {
     options.sequences.given = start.sequence;
     Finding finding;
-    PhaseRun run("mode_search", request_, options, run_.WithinBounds(std::move(from)));
-    if (auto refused = run.WhyNotStart()) {
+    PhaseRun run("mode_search", request_, options, run_.ClampToBounds(std::move(from)));
+    if (auto refused = run.StartFailure()) {
       finding.report = std::move(*refused);
       return finding;
     }
-    finding.report = MendBySteps(&run, request_);
+    finding.report = UpdateBySteps(&run, request_);
     Trial& trial = finding.trial;
     trial.control = finding.report.solution.control;
     trial.durations = finding.report.solution.durations;
@@ -209,7 +209,7 @@ SolveReport SolveByPhasesFromStarts(const SolveRequest& request, const SolverOpt
 
 SolveReport SearchByPhases(const SolveRequest& request, const SolverOptions& options) {
   PhaseRun run("mode_search", request, options);
-  if (auto refused = run.WhyNoMotion()) return *refused;
+  if (auto refused = run.MotionFailure()) return *refused;
   return SequenceSearch(&run, DiscSearch(run, request)).Search();
 }
 

@@ -11,7 +11,7 @@
 //
 // Rule, by which a search is complete: the neighbours of the best optimum, and of those before it, are all tried.
 // Limits, which leave it incomplete: `iterations` solves, SearchOptions, an interrupt, neighbours left out of very
-// many. As in mode_search, solves are looked at in one order, whatever the threads (task_line.h).
+// many. As in mode_search, solves are looked at in one order, whatever the threads (task_queue.h).
 #pragma once
 
 #include "saltus/solve/solver.h"
@@ -20,14 +20,14 @@ namespace saltus {
 
 // Losses are the best exact loss after each solve. Converged: the best motion that meets all constraints is an optimum;
 // never worse than ceres_phases from the initial guess, unless a limit cuts that solve short. Precondition:
-// WhyNotPhases is empty, exact contact.
+// UnsupportedByCeresPhases() is empty, exact contact.
 SolveReport SearchByPhases(const SolveRequest& request, const SolverOptions& options);
 
 // ceres_phases. Where the control is bounded, it solves again from the best of a few random motions, after some
 // iterations of shooting: those whose loss is near that of the first solution, and whose sequence is another. The
 // report is that of the best solve, constraints first, with `initial_loss` of the initial guess and `seconds` of all
 // solves; `iterations` limits all solves together. It solves once if a guess or a sequence is given, or without
-// SolverOptions::Sequences::search. Precondition: WhyNotPhases is empty.
+// SolverOptions::Sequences::search. Precondition: UnsupportedByCeresPhases() is empty.
 SolveReport SolveByPhasesFromStarts(const SolveRequest& request, const SolverOptions& options);
 
 }  // namespace saltus

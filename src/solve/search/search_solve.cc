@@ -7,7 +7,7 @@
 #include "solve/control_guess.h"
 #include "solve/phases/ceres_event.h"
 #include "solve/phases/phase_attempt.h"
-#include "solve/phases/sequence_mending.h"
+#include "solve/phases/sequence_update.h"
 #include "solve/search/sequence_search.h"
 #include "solve/shooting/single_shooting_solvers.h"
 
@@ -23,7 +23,7 @@ constexpr double kShareGain = 1e-7;   // relative: of the loss, for which interv
 void Certify(const Scene& scene, SearchFinding* finding) {
   if (!finding->certificate) finding->certificate = CertifyTrial(scene, finding->trial);
   if (!finding->certificate->IsSaddle()) return;
-  finding->aside = StepAside(scene, finding->trial, finding->certificate->curvature->direction);
+  finding->aside = SearchBothSides(scene, finding->trial, finding->certificate->curvature->direction);
   finding->optimal = finding->aside.empty();
 }
 
@@ -44,16 +44,16 @@ SearchFinding SolveAlongSequence(const Scene& scene, const SolverOptions& option
   if (!solution.valid || !solution.trial.exact.ok) return finding;
   finding.optimal = solution.optimal();
   if (!finding.optimal) {
-    finding.remark = WhyNotOptimal(scene, task.sequence, solution.minimum.touches, solution.trial.exact);
+    finding.remark = ReasonNotOptimal(scene, task.sequence, solution.minimum.touches, solution.trial.exact);
   }
   finding.trial = std::move(solution.trial);
   if (finding.optimal) Certify(scene, &finding);
   return finding;
 }
 
-SearchFinding MendBy(const TryPlan* by_steps, PhaseRun* run) {
+SearchFinding UpdateBy(const TryPlan* by_steps, PhaseRun* run) {
   const Scene& scene = run->scene();
-  SolveReport report = by_steps != nullptr ? SolveMending(run, *by_steps) : MendByArcs(run);
+  SolveReport report = by_steps != nullptr ? SolveWithSequenceUpdates(run, *by_steps) : UpdateByArcs(run);
   SearchFinding finding;
   finding.jacobians = report.work.evaluations;
   finding.trial.control = std::move(report.solution.control);
@@ -70,22 +70,22 @@ SearchFinding MendBy(const TryPlan* by_steps, PhaseRun* run) {
 }
 
 // Solves by arcs, which are cheap; where they find no optimum, by the transcription with a cost for every step.
-SearchFinding Mend(const SolveRequest& request, const SolverOptions& options, const SearchTask& task) {
+SearchFinding UpdateSequence(const SolveRequest& request, const SolverOptions& options, const SearchTask& task) {
   const Trial& from = *task.from;
   SolverOptions own;
   const double by_arcs = WorkByArcs(request.scene, from.exact.contacts.size());
   own.limits.iterations = IterationsWithin(task.most_work, by_arcs, kIterationsMending);
   own.monitor.stop = options.monitor.stop;
   PhaseRun arcs("mode_search", request, own, from);
-  SearchFinding finding = MendBy(nullptr, &arcs);
+  SearchFinding finding = UpdateBy(nullptr, &arcs);
   if (finding.optimal || !finding.trial.exact.ok || !finding.trial.exact.only_impacts) return finding;
   own.limits.iterations =
       IterationsWithin(task.most_work - finding.work, WorkBySteps(request.scene), kIterationsMending);
   PhaseRun steps("mode_search", request, own, finding.trial.exact.loss < from.exact.loss ? finding.trial : from);
-  const TryPlan by_steps = [&](const PhasePlan& plan, const PlanStart& start, const MayGoOn& may_go_on) {
-    return TryByTranscription(&steps, plan, start, may_go_on);
+  const TryPlan by_steps = [&](const PhasePlan& plan, const PlanStart& start, const ContinuePredicate& may_continue) {
+    return TryByTranscription(&steps, plan, start, may_continue);
   };
-  SearchFinding last = MendBy(&by_steps, &steps);
+  SearchFinding last = UpdateBy(&by_steps, &steps);
   last.jacobians += finding.jacobians;
   last.work += finding.work;
   return last.trial.exact.ok ? last : finding;
@@ -168,7 +168,7 @@ SearchFinding SolveTask(const SolveRequest& request, const SolverOptions& option
     case SearchTask::Kind::kShare:
       return SolveAlongSequence(request.scene, options, task);
     case SearchTask::Kind::kMend:
-      return Mend(request, options, task);
+      return UpdateSequence(request, options, task);
     case SearchTask::Kind::kShoot:
     case SearchTask::Kind::kDescend:
       return Shoot(request, options, task);

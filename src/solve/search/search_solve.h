@@ -16,7 +16,7 @@ namespace saltus {
 struct SearchTask {
   enum class Kind {
     kAlong,    // along `sequence` from the motion `from`
-    kMend,     // from the motion `from`, along the sequences that mending leads to (sequence_mending.h)
+    kMend,     // from the motion `from`, along the sequences that mending leads to (sequence_update.h)
     kShoot,    // by ceres_lm from constant `forces`, or from the control of `from`
     kDescend,  // by gd from `forces`
     kShare,    // along `sequence` from the optimum `from`, with intervals shared better between its phases

@@ -35,7 +35,7 @@ Vec2d DriftOf(const Scene& scene, int body, double t) {
 
 // A place on the way of another disc, off its middle by up to a contact distance; or anywhere.
 Vec2d Place(const Scene& scene, int pushed, double t, Random* random) {
-  const int other = random->Below(scene.num_bodies() + 1);
+  const int other = random->UniformIndex(scene.num_bodies() + 1);
   if (other < scene.num_bodies() && other != pushed) {
     const double distance = scene.bodies[pushed].radius + scene.bodies[other].radius;
     const double x = random->Symmetric(), y = random->Symmetric();

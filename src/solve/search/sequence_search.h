@@ -1,4 +1,4 @@
-// A search over sequences of events by solves that update their sequence (sequence_mending.h), whatever the system.
+// A search over sequences of events by solves that update their sequence (sequence_update.h), whatever the system.
 //
 // The solves begin from
 //
@@ -12,7 +12,7 @@
 // Rule, by which a search is complete: the neighbours of the best optimum, and of those before it, are all tried; or
 // the loss is a sum of squares and zero.
 // Limits, which leave it incomplete: `iterations` solves, SearchOptions, an interrupt, neighbours left out of very
-// many. Solves are looked at in one order, whatever the threads (task_line.h).
+// many. Solves are looked at in one order, whatever the threads (task_queue.h).
 //
 // Problem is what is searched (of a scene in phase_search.cc, of a hybrid system in hybrid_search.cc):
 //
@@ -40,7 +40,7 @@
 #include "base/parallel_for.h"
 #include "saltus/solve/solver.h"
 #include "solve/phases/sequence_run.h"
-#include "solve/search/task_line.h"
+#include "solve/search/task_queue.h"
 
 namespace saltus {
 
@@ -109,14 +109,14 @@ class LimitedSearch {
   }
 
   // Notes that something is not tried, and why.
-  void Leave(const std::string& why) {
+  void AddLimitRemark(const std::string& why) {
     searched_.complete = false;
     if (!why.empty() && left_.find(why) == std::string::npos) left_ += (left_.empty() ? "" : ", ") + why;
   }
   // Returns the parts that limits have prevented; empty if there are none. The search is over.
-  std::string LeaveAtEnd() {
+  std::string LimitsAtEnd() {
     static constexpr const char* kLimits[] = {"", "the limit of time", "the limit of work", "the limit of iterations"};
-    if (end_) Leave(kLimits[static_cast<int>(*end_)]);
+    if (end_) AddLimitRemark(kLimits[static_cast<int>(*end_)]);
     return left_.empty() ? "" : "not complete: " + left_;
   }
 
@@ -140,7 +140,7 @@ class LimitedSearch {
 
   SolverOptions options_;  // with its own limits
   std::vector<LocalOptimum> optima_;
-  Searched searched_;
+  SearchStatistics searched_;
   int drawn_ = 0, solves_ = 0;
   std::optional<End> end_;
 
@@ -254,7 +254,7 @@ class SequenceSearch : LimitedSearch {
       if (std::count(tried_.begin(), tried_.end(), next) > 0) continue;
       starts.push_back({trial, false, std::move(next)});
     }
-    if (left_out) Leave(Problem::kLeftOut);
+    if (left_out) AddLimitRemark(Problem::kLeftOut);
     return starts;
   }
 
@@ -262,14 +262,14 @@ class SequenceSearch : LimitedSearch {
 
   void SolveAll(const std::vector<Start>& starts) {
     auto next = starts.begin();
-    TaskLine<Draw, Finding> line;
+    TaskQueue<Draw, Finding> line;
     line.draw = [&]() -> std::optional<Draw> {
       if (Stopped()) EndByStop();
       if (end_ || next == starts.end() || IsZero()) return std::nullopt;
       const std::optional<double> most_work = CountDrawn();
       if (!most_work) return std::nullopt;
       const Start& start = *next++;
-      return Draw{&start, *most_work, MostLoss(start)};
+      return Draw{&start, *most_work, LossLimit(start)};
     };
     line.solve = [this](const Draw& draw) { return Stopped() ? Finding{} : SolveFrom(draw); };
     line.look = [this](const Draw& draw, Finding finding) {
@@ -278,15 +278,15 @@ class SequenceSearch : LimitedSearch {
         tried_.push_back(*sequence);
         AddIfNew(*sequence, &searched_along_);
       }
-      Look(std::move(finding));
+      ConsumeResult(std::move(finding));
       if (!run_.Record(BestLoss())) end_ = End::kInterrupt;
     };
-    line.WorkOff(NumThreads(options_.threads));
+    line.RunAll(NumThreads(options_.threads));
     if (Stopped()) EndByStop();
   }
 
   // Near the best optimum a sequence of its neighbourhood has to be better; elsewhere other optima are reported too.
-  double MostLoss(const Start& start) const {
+  double LossLimit(const Start& start) const {
     if (!best_ || start.is_guess || !MeetsConstraints(best_->trial)) return INFINITY;
     const double loss = best_->trial.exact.loss;
     return loss + (start.sequence ? kSameOptimum : sequence_search::kMuchWorse) * std::abs(loss);
@@ -314,7 +314,7 @@ class SequenceSearch : LimitedSearch {
     return finding;
   }
 
-  void Look(Finding finding) {
+  void ConsumeResult(Finding finding) {
     ++solves_;
     run_.report().work.evaluations += finding.report.work.evaluations + finding.shooting;
     searched_.work +=
@@ -352,7 +352,7 @@ class SequenceSearch : LimitedSearch {
   // -------------------------------------------------------------------------------------------------------------- end
 
   SolveReport Report() {
-    const std::string limits = LeaveAtEnd();
+    const std::string limits = LimitsAtEnd();
     const auto with_limits = [&](const std::string& reason) {
       return reason + (reason.empty() || limits.empty() ? "" : "; ") + limits;
     };

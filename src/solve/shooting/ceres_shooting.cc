@@ -139,8 +139,8 @@ class NodeSearch {
   // Ceres that leave a node by rounding are refused.
   void Polish() {
     const Scene& scene = run_->shooting().scene();
-    if (scene.objective.effort == 0 || !WhyNoHybridProblem(scene).empty()) return;
-    const HybridProblem problem = HybridProblemOf(scene);
+    if (scene.objective.effort == 0 || !UnsupportedByHybridProblem(scene).empty()) return;
+    const HybridProblem problem = MakeHybridProblem(scene);
     HybridInput input = problem.guess;
     for (int step = 0; step < kNewtonSteps && !interrupted_; ++step) {
       input.control = z_;

@@ -92,8 +92,8 @@ class HybridRun final : public ShootingRun {
     double loss = 0;
     if (termination == Termination::kFailed || !shooting_.Evaluate(z, &loss, nullptr)) return "";
     report_.solution.integration_error = shooting_.simulator().IntegrationError();
-    std::string why = shooting_.simulator().WhyNotDifferentiable();
-    const std::string jumps = shooting_.WhereLossJumps(loss);
+    std::string why = shooting_.simulator().ReasonNotDifferentiable();
+    const std::string jumps = shooting_.DescribeLossJumps(loss);
     if (!jumps.empty()) why += (why.empty() ? "" : "; ") + jumps;
     const std::string near = EventsNearJumps(shooting_.simulator(), shooting_.InputAt(z));
     if (near.empty() || why.find("control jumps") != std::string::npos) return why;
@@ -103,7 +103,7 @@ class HybridRun final : public ShootingRun {
   HybridShooting shooting_;
 };
 
-std::string WhyNotShot(const HybridProblem& problem) {
+std::string UnsupportedByShooting(const HybridProblem& problem) {
   for (const HybridTerm& term : problem.terms) {
     if (!term.IsCost()) return term.name + " is a constraint, which takes multipliers: use ceres_phases or ipopt";
   }
@@ -119,23 +119,23 @@ bool IsBounded(const HybridFree& free) {
          (free.duration && (free.duration_min > 0 || std::isfinite(free.duration_max)));
 }
 
-std::string WhyNotLbfgs(const HybridProblem& problem) {
+std::string UnsupportedByLbfgs(const HybridProblem& problem) {
   if (IsBounded(problem.free)) {
     return "the problem has bounds, which its steps would leave: use ceres_lm, ceres_phases or ipopt";
   }
-  return WhyNotShot(problem);
+  return UnsupportedByShooting(problem);
 }
 
-std::string WhyNotLm(const HybridProblem& problem) {
+std::string UnsupportedByLm(const HybridProblem& problem) {
   for (const HybridTerm& term : problem.terms) {
     if (term.role == HybridTerm::Role::kValue) {
       return term.name + " is a cost that is no square: least squares needs squares";
     }
-    if (term.at == HybridTerm::At::kEvent && term.occurrence < 0) {
+    if (term.at == HybridTerm::Timing::kEvent && term.occurrence < 0) {
       return term.name + " is evaluated at each event: least squares requires a number of residuals that is fixed";
     }
   }
-  return WhyNotShot(problem);
+  return UnsupportedByShooting(problem);
 }
 
 // Returns a report whose solver can lower the loss no more, as converged if the certificate proves an optimum: steps
@@ -309,14 +309,14 @@ OutOfReach FindOutOfReach(const HybridProblem& problem, const HybridInput& input
         slope += slope_of(*at.term, at.residuals[row]) * at.jacobians[0][row * size + i];
       }
       steepest = std::max(steepest, std::abs(slope));
-      if (at.term->at == HybridTerm::At::kEnd) at_end[i] += slope;
+      if (at.term->at == HybridTerm::Timing::kEnd) at_end[i] += slope;
     }
   }
   if (steepest == 0) return found;
   const auto changes = [&](const HybridCotangent& cotangent) {
     const HybridGradient gradient = simulator.Adjoint(cotangent);
     const auto by_variable = [&](const FreeVariable& of) {
-      return of.kind != FreeVariable::Kind::kControl && of.In(gradient) != 0;
+      return of.kind != FreeVariable::Kind::kControl && of.Access(gradient) != 0;
     };
     return (free.control && std::ranges::any_of(gradient.control, [](double by) { return by != 0; })) ||
            std::ranges::any_of(shooting.variables(), by_variable);
@@ -385,12 +385,12 @@ bool JudgeSolution(const HybridProblem& problem, SolveReport* report) {
 
 // ---------------------------------------------------------------------------------------------------------------- auto
 
-std::string WhyNotAny(const HybridProblem& problem) {
+std::string UnsupportedByAllSolvers(const HybridProblem& problem) {
   return problem.free.IsEmpty() ? "the problem leaves nothing to optimize: name what is free" : "";
 }
 
 // Returns the reason why Gauss-Newton steps miss an important part of the curvature; empty if they do not.
-std::string WhyNotGaussNewton(const HybridProblem& problem) {
+std::string UnsupportedByGaussNewton(const HybridProblem& problem) {
   for (const HybridTerm& term : problem.terms) {
     if (term.role == HybridTerm::Role::kValue) return term.name + " is a cost that is no square";
     if (!term.IsCost()) return term.name + " is a constraint";
@@ -398,7 +398,7 @@ std::string WhyNotGaussNewton(const HybridProblem& problem) {
   if (problem.free.duration) return "the duration is free";
   int rows = 0;
   for (const HybridTerm& term : problem.terms) {
-    const bool repeats = term.at == HybridTerm::At::kEachInterval && term.interval < 0;
+    const bool repeats = term.at == HybridTerm::Timing::kEachInterval && term.interval < 0;
     rows += term.function->num_residuals() * (repeats ? problem.guess.num_intervals : 1);
   }
   const int columns = problem.free.control ? problem.guess.num_intervals * problem.system.num_controls() : 0;
@@ -416,11 +416,11 @@ SolveReport SolveBy(const HybridSolverEntry& entry, const HybridProblem& problem
 
 SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions& options) {
   const HybridSystem& system = problem.system;
-  std::string why = WhyNotHybridPhases(problem);
+  std::string why = UnsupportedByHybridPhases(problem);
   std::vector<std::string_view> order = {"ceres_lm", "ceres_lbfgs", "gd"};
   if (why.empty()) {
     // Without constraints and bounds, shooting never leaves the motions of the system, and ends where phases go astray.
-    why = WhyNotGaussNewton(problem);
+    why = UnsupportedByGaussNewton(problem);
     order = {"ipopt", "ceres_lbfgs", "ceres_phases", "ceres_lm"};
     if (why.empty()) {
       why = "all costs are squares, without constraints";
@@ -435,7 +435,7 @@ SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions
   if (system.functions().CreatesModes()) {  // contacts may stick, and all others would end at the guess
     const HybridShooting guess(problem);
     const bool is_stuck = FindOutOfReach(problem, guess.InputAt(guess.initial_guess())).motion;
-    if (is_stuck && problem.free.control && WhyNotHybridPhases(problem).empty()) {
+    if (is_stuck && problem.free.control && UnsupportedByHybridPhases(problem).empty()) {
       why = "no small change of the control changes the motion of the guess";
       order.clear();
     }
@@ -445,7 +445,7 @@ SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions
     const HybridSolverEntry& entry = *std::ranges::find(HybridSolvers(), name, &HybridSolverEntry::name);
     SolveReport report;
     report.termination = Termination::kNotApplicable;
-    report.reason = entry.why_not(problem);
+    report.reason = entry.reason_not_applicable(problem);
     if (!report.reason.empty()) return report;
     HybridProblem start = problem;
     if (from != nullptr) {
@@ -465,15 +465,15 @@ SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions
 
 // Returns the problem without events that change nothing, such as reversals of contacts without friction, which a plan
 // would hold for no gain; nothing if it has none, or names events or modes.
-std::optional<HybridProblem> WithoutIdleEvents(const HybridProblem& problem, const SolverOptions& options) {
+std::optional<HybridProblem> RemoveIdleEvents(const HybridProblem& problem, const SolverOptions& options) {
   const bool names = options.sequences.given || std::ranges::any_of(problem.terms, [](const HybridTerm& term) {
-                       return term.at == HybridTerm::At::kEvent || term.mode >= 0;
+                       return term.at == HybridTerm::Timing::kEvent || term.mode >= 0;
                      });
   if (names) return std::nullopt;
-  auto lean = problem.system.functions().WithoutIdleEvents(problem.guess.parameters.data(), problem.free.parameters);
+  auto lean = problem.system.functions().RemoveIdleEvents(problem.guess.parameters.data(), problem.free.parameters);
   if (lean == nullptr) return std::nullopt;
   HybridProblem without = problem;
-  without.guess.mode = lean->ModeLike(problem.system.ModeName(problem.guess.mode));
+  without.guess.mode = lean->EquivalentMode(problem.system.ModeName(problem.guess.mode));
   without.system = HybridSystem(std::move(lean));
   return without;
 }
@@ -482,7 +482,7 @@ std::optional<HybridProblem> WithoutIdleEvents(const HybridProblem& problem, con
 void RenameEvents(const HybridSystem& of, const HybridSystem& as, std::vector<LocalOptimum>* optima) {
   for (LocalOptimum& optimum : *optima) {
     for (Candidate& event : optimum.sequence) {
-      const int mode = std::exchange(event.a, as.functions().ModeLike(of.ModeName(event.a)));
+      const int mode = std::exchange(event.a, as.functions().EquivalentMode(of.ModeName(event.a)));
       if (event.b < 0) continue;  // a jump of the control
       const std::string name = of.GuardName(mode, event.b);
       for (int guard = 0; guard < as.num_guards(event.a); ++guard) {
@@ -493,7 +493,7 @@ void RenameEvents(const HybridSystem& of, const HybridSystem& as, std::vector<Lo
 }
 
 void NameTermsWithoutEvents(const HybridProblem& problem, SolveReport* report) {
-  const auto is_at_event = [](const HybridTerm& term) { return term.at == HybridTerm::At::kEvent; };
+  const auto is_at_event = [](const HybridTerm& term) { return term.at == HybridTerm::Timing::kEvent; };
   if (std::ranges::none_of(problem.terms, is_at_event)) return;
   HybridShooting shooting(problem);
   HybridShooting::Outcome outcome;
@@ -506,13 +506,22 @@ void NameTermsWithoutEvents(const HybridProblem& problem, SolveReport* report) {
 
 const std::vector<HybridSolverEntry>& HybridSolvers() {
   static const std::vector<HybridSolverEntry> solvers = {
-      {"auto", "chooses from the structure of the problem, and goes on with another", WhyNotAny, SolveAutomatically},
-      {"gd", "gradient descent at a fixed rate", WhyNotShot, SolveByGradientDescent},
-      {"ceres_lbfgs", "L-BFGS on the adjoint gradient", WhyNotLbfgs, SolveByLbfgs},
-      {"ceres_lm", "Levenberg-Marquardt, states eliminated", WhyNotLm, SolveByLm},
-      {"ceres_phases", "phases between events, a cost for every step", WhyNotHybridPhases, SolveHybridByPhases},
-      {"ipopt", "phases between events, by an interior-point method", WhyNotInteriorPoint, SolveHybridByInteriorPoint},
-      {"mode_search", "search over sequences of events, by ceres_phases", WhyNotHybridPhases, SolveHybridByModeSearch},
+      {"auto",
+       "chooses from the structure of the problem, and goes on with another",
+       UnsupportedByAllSolvers,
+       SolveAutomatically},
+      {"gd", "gradient descent at a fixed rate", UnsupportedByShooting, SolveByGradientDescent},
+      {"ceres_lbfgs", "L-BFGS on the adjoint gradient", UnsupportedByLbfgs, SolveByLbfgs},
+      {"ceres_lm", "Levenberg-Marquardt, states eliminated", UnsupportedByLm, SolveByLm},
+      {"ceres_phases", "phases between events, a cost for every step", UnsupportedByHybridPhases, SolveHybridByPhases},
+      {"ipopt",
+       "phases between events, by an interior-point method",
+       UnsupportedByInteriorPoint,
+       SolveHybridByInteriorPoint},
+      {"mode_search",
+       "search over sequences of events, by ceres_phases",
+       UnsupportedByHybridPhases,
+       SolveHybridByModeSearch},
   };
   return solvers;
 }
@@ -528,16 +537,16 @@ SolveReport Solve(std::string_view solver, const HybridProblem& given, const Sol
     for (const HybridSolverEntry& known : HybridSolvers()) report.reason += " " + std::string(known.name);
     return report;
   }
-  report.reason = WhatIsWrongWith(given);
-  if (report.reason.empty()) report.reason = WhatIsWrongWith(options);
-  if (report.reason.empty()) report.reason = entry->why_not(given);
+  report.reason = Validate(given);
+  if (report.reason.empty()) report.reason = Validate(options);
+  if (report.reason.empty()) report.reason = entry->reason_not_applicable(given);
   if (!report.reason.empty()) return report;
-  if (const auto without = WithoutIdleEvents(given, options)) {
+  if (const auto without = RemoveIdleEvents(given, options)) {
     report = Solve(solver, *without, options);
     RenameEvents(without->system, given.system, &report.optima);
     return report;
   }
-  const HybridProblem problem = WithConstraintsOfOrderOne(given, given.guess);
+  const HybridProblem problem = ScaleConstraints(given, given.guess);
   report = SolveBy(*entry, problem, options);
   if (entry->solve != SolveAutomatically) JudgeSolution(problem, &report);
   if (!report.history.losses.empty()) NameTermsWithoutEvents(problem, &report);

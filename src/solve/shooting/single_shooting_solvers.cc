@@ -83,7 +83,7 @@ class Step {
 class Best {
  public:
   // `last` is the iterate before.
-  void Meet(double loss, int iteration, const std::vector<double>& last) {
+  void ConsiderIterate(double loss, int iteration, const std::vector<double>& last) {
     if (iteration == 0 || loss < best_.solution.loss) {
       best_.solution.loss = loss;
       best_.iteration = iteration;
@@ -149,7 +149,7 @@ SolveReport Descend(ShootingRun* run, const DescentRule& rule, Best* best) {
     if (!function.Evaluate(z, &loss, more && !rule.estimate ? gradient.data() : nullptr)) {
       return Fail(run, "loss", k, last);
     }
-    best->Meet(loss, k, last);
+    best->ConsiderIterate(loss, k, last);
     if (!run->Record(loss, z)) return run->Finish(z, Termination::kInterrupted);
     if (!more) break;
     if (rule.estimate) {
@@ -298,8 +298,8 @@ void AddEffort(const SingleShooting& shooting, const VariableBlocks& variables, 
     const size_t num_forces = blocks.size() - 1 - shooting.num_design();
     double* const time = blocks[num_forces];
     if (free.weight > 0) {
-      using Price = ceres::AutoDiffCostFunction<DurationPrice, DurationPrice::kRows, 1>;
-      problem->AddResidualBlock(new Price(new DurationPrice{free.weight}), nullptr, time);
+      using Price = ceres::AutoDiffCostFunction<DurationCost, DurationCost::kRows, 1>;
+      problem->AddResidualBlock(new Price(new DurationCost{free.weight}), nullptr, time);
     }
     problem->SetParameterLowerBound(time, 0, free.min);
     problem->SetParameterUpperBound(time, 0, free.max);
@@ -319,7 +319,7 @@ void AddEffort(const SingleShooting& shooting, const VariableBlocks& variables, 
 // The largest magnitude of an entry of the rows of a control; infinity without a bound.
 double LargestComponent(const Scene& scene, int entry) {
   const int turn = entry - 2 * scene.num_controlled();
-  if (turn >= 0) return MostTurn(scene, turn);
+  if (turn >= 0) return MaxTorqueForce(scene, turn);
   return scene.control.max.empty() ? std::numeric_limits<double>::infinity() : scene.control.max[entry / 2];
 }
 

@@ -29,7 +29,7 @@ struct EventRun {
     Rollout(start);
   }
   std::vector<double> Rollout(const std::vector<double>& from) {
-    EXPECT_TRUE(simulator->Rollout(from, {})) << simulator->WhyFailed();
+    EXPECT_TRUE(simulator->Rollout(from, {})) << simulator->FailureReason();
     std::vector<double> end(simulator->state_size());
     simulator->GetState(simulator->num_steps(), end);
     return end;

@@ -68,8 +68,9 @@ TEST(EventCounting, BeyondTheLimitTheStepFailsAndNamesTheRemedy) {
   ASSERT_GT(EndOf(mass).impacts, 200000);
   const std::unique_ptr<Simulator> simulator = MakeEventSimulator(Counting(mass, 1));
   EXPECT_FALSE(simulator->Rollout(StartOf(simulator->scene()), {}));
-  EXPECT_NE(simulator->WhyFailed().find("more than 200000 events"), std::string::npos) << simulator->WhyFailed();
-  EXPECT_NE(simulator->WhyFailed().find("`steps`"), std::string::npos) << simulator->WhyFailed();
+  EXPECT_NE(simulator->FailureReason().find("more than 200000 events"), std::string::npos)
+      << simulator->FailureReason();
+  EXPECT_NE(simulator->FailureReason().find("`steps`"), std::string::npos) << simulator->FailureReason();
   EXPECT_NEAR(EventRun(Counting(mass, 6000)).End()[4], EndOf(mass).position, 1e-8);
 }
 

@@ -20,7 +20,7 @@ using testing::EventRun;
 // The motion of a scene with thresholds in its natural units, and what it says in those of the scene.
 struct NaturalRun {
   explicit NaturalRun(const Scene& given)
-      : scene(given), run(InNaturalUnits(given)), units(run.simulator.scene().units) {}
+      : scene(given), run(ToNaturalUnits(given)), units(run.simulator.scene().units) {}
 
   std::vector<double> End() const { return ConvertStates(run.End(), units, scene.units); }
   std::vector<Event> Events() const {
@@ -185,10 +185,10 @@ TEST(EventEdges, DiscsThatSlideOnATableStop) {
   const double way = 1.5 * 1.5 / (2 * 0.2 * 9.81);
   ExpectNear(run.End(), {0.5 + 0.8 * way, -0.25 - 0.6 * way, 0, 0}, 1e-13);
   scene.control = {{0}, {{1, 0}}};
-  EXPECT_NE(EventDriven::WhyNot(scene), "");
+  EXPECT_NE(EventDriven::ReasonNotApplicable(scene), "");
   scene.control = {};
   scene.gravity = {0, -1};
-  EXPECT_NE(EventDriven::WhyNot(scene), "");
+  EXPECT_NE(EventDriven::ReasonNotApplicable(scene), "");
 }
 
 // A floor of many short segments is a floor: nothing is missed or met twice at their joints, also not where the disc
@@ -331,7 +331,7 @@ TEST(EventEdges, NothingLeaksOut) {
     scene.bodies = {
         {.name = "ball", .radius = 0.08, .velocity = {3 * uniform(engine) - 1.5, 3 * uniform(engine) - 1.5}}};
     const double speed = scene.bodies[0].velocity.norm();
-    EventRun run(InNaturalUnits(scene));
+    EventRun run(ToNaturalUnits(scene));
     if (!run.finite) continue;
     for (int k = 0; k <= scene.steps; ++k) {
       const std::vector<double> x = ConvertStates(run.State(k), run.simulator.scene().units, scene.units);

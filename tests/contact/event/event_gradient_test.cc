@@ -56,7 +56,7 @@ struct Result {
 
   explicit Result(const Experiment& e)
       : owned(testing::MakeEventSimulator(e.scene)), simulator(*owned), end(e.initial.size()) {
-    EXPECT_TRUE(simulator.Rollout(e.initial, e.control)) << simulator.WhyFailed();
+    EXPECT_TRUE(simulator.Rollout(e.initial, e.control)) << simulator.FailureReason();
     simulator.GetState(e.scene.steps, end);
     for (std::size_t i = 0; i < end.size(); ++i) loss += end[i] * (e.slope[i] + 0.5 * e.bend[i] * end[i]);
   }

@@ -355,7 +355,7 @@ TEST(EventPiles, StepsTakenAtOnceAreNoReference) {
   const ModelGradient own = ComputeGradient("event", scene, Precision::kDouble);
   ASSERT_TRUE(own.ok()) << own.reason;
   EXPECT_GT(own.unresolved_steps, 10);
-  EXPECT_FALSE(ExactGradientOf(scene));
+  EXPECT_FALSE(ComputeExactGradient(scene));
   const ExactRun run = SimulateExactly(scene, InitialState(scene), {});
   EXPECT_FALSE(run.ok);
   EXPECT_EQ(run.reason, "there is no exact motion: " + DescribeUnresolved(own.unresolved_steps, scene.steps));
@@ -363,7 +363,7 @@ TEST(EventPiles, StepsTakenAtOnceAreNoReference) {
             "12 of 400 steps use the time-stepping fallback, as impacts of many discs accumulate in them");
   ModelAudit audit;
   audit.gradient = own;
-  EXPECT_EQ(audit.Why(), DescribeUnresolved(own.unresolved_steps, scene.steps));
+  EXPECT_EQ(audit.VerdictReason(), DescribeUnresolved(own.unresolved_steps, scene.steps));
 }
 
 // A row of discs that touch, struck at one end: the last leaves, at its speed, and all others stay.

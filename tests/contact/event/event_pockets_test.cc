@@ -232,9 +232,9 @@ TEST(EventPockets, OnATableToo) {
 TEST(EventPockets, OtherModelsAndSequencesOfImpactsRefuseThem) {
   const Scene scene = WithPocket(6);
   for (const ModelTraits& model : AllContactModels()) {
-    EXPECT_EQ(WhyNotApplicable(std::string(model.name), scene).empty(), model.event_driven) << model.name;
+    EXPECT_EQ(ReasonNotApplicable(std::string(model.name), scene).empty(), model.event_driven) << model.name;
   }
-  EXPECT_EQ(BeyondPlanes(scene), "pockets that discs fall into");
+  EXPECT_EQ(NonPlaneGeometry(scene), "pockets that discs fall into");
 }
 
 TEST(EventPockets, NoDiscStartsInOne) {

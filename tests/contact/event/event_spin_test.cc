@@ -11,7 +11,7 @@
 #include "exact/exact_scenes.h"
 #include "parameter_name.h"
 #include "reference_values.h"
-#include "saltus/simulate/event_sides.h"
+#include "saltus/simulate/one_sided_derivatives.h"
 
 namespace saltus {
 namespace {
@@ -156,7 +156,7 @@ TEST(EventSpinOnGround, CeasesToRollAndRollsAgain) {
     scene.control = {{0}, {{0, 0}}};
     EventRun run(scene);
     for (int k = 0; k < 2 * parts; ++k) run.control[2 * k] = k < parts ? 3 : 9;
-    ASSERT_TRUE(run.simulator.Rollout(InitialState(scene), run.control)) << run.simulator.WhyFailed();
+    ASSERT_TRUE(run.simulator.Rollout(InitialState(scene), run.control)) << run.simulator.FailureReason();
     const std::vector<double> end = run.End();
     ExpectNear(end[0], Number(expected["x"]), kTolerance, "x");
     ExpectNear(end[2], Number(expected["v"]), kTolerance, "v");
@@ -179,7 +179,7 @@ TEST(EventSpinStep, ForcesAndTorquesAtImpacts) {
   scene.gravity = {0.3, -0.4};
   scene.bodies[1].inertia = {Inertia::Kind::kGiven, 2 * 0.009};
   scene.steps = 1;
-  scene.control = {.bodies = {0, 1}, .initial = {{0, 0}, {0, 0}}, .turned = {0, 1}};
+  scene.control = {.bodies = {0, 1}, .initial = {{0, 0}, {0, 0}}, .torque_bodies = {0, 1}};
   const std::vector<double> torque{0.02, -0.03};
   const std::vector<double> force{
       1.5, -0.7, -0.6, 0.9, torque[0] / scene.bodies[0].radius, torque[1] / scene.bodies[1].radius};
@@ -545,7 +545,7 @@ TEST(EventSpinEdges, EndOfASegment) {
 TEST(EventSpinRefused, Tables) {
   Scene scene = SpinPair();
   scene.table = TableFriction{0.1, 9.81};
-  EXPECT_NE(Contact("event").entry()->why_not_applicable(scene).find("spin"), std::string::npos);
+  EXPECT_NE(Contact("event").entry()->reason_not_applicable(scene).find("spin"), std::string::npos);
 }
 
 }  // namespace

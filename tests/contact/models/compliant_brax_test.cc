@@ -45,7 +45,7 @@ TEST(CompliantBrax, ClosedFormOfOneBounce) {
 TEST(CompliantBrax, OddNumberOfStepsIsRefused) {
   Scene scene = ProblemScene("bounce_once");
   scene.steps = 481;
-  EXPECT_FALSE(WhyNotApplicable("compliant_brax", scene).empty());
+  EXPECT_FALSE(ReasonNotApplicable("compliant_brax", scene).empty());
 }
 
 // A spinning disc of mass 2 strikes the ground and slips: the friction is mu^2 of the impulse.

@@ -81,13 +81,13 @@ TEST(IpcBarrierTest, SlidingDiscStops) {
 }
 
 TEST(IpcBarrierTest, TouchingSceneIsNotApplicable) {
-  EXPECT_EQ(IpcBarrier::WhyNot(GroundWall(0)), "");
+  EXPECT_EQ(IpcBarrier::ReasonNotApplicable(GroundWall(0)), "");
   Scene scene = GroundWall(0);
   scene.bodies[0].position[1] = 0.1;
-  EXPECT_THAT(IpcBarrier::WhyNot(scene), ::testing::HasSubstr("touches ground"));
+  EXPECT_THAT(IpcBarrier::ReasonNotApplicable(scene), ::testing::HasSubstr("touches ground"));
   scene = TwoBalls();
   scene.bodies[0].position = {-1.4, -1};
-  EXPECT_THAT(IpcBarrier::WhyNot(scene), ::testing::HasSubstr("touch at the start"));
+  EXPECT_THAT(IpcBarrier::ReasonNotApplicable(scene), ::testing::HasSubstr("touch at the start"));
 }
 
 }  // namespace

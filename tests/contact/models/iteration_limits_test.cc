@@ -15,10 +15,10 @@ namespace {
 using testing::AllOf;
 using testing::HasSubstr;
 
-std::string WhyFailed(const std::string& model, const Scene& scene) {
+std::string FailureReason(const std::string& model, const Scene& scene) {
   const auto simulator = MakeSimulator(model, scene, Precision::kDouble);
   EXPECT_FALSE(simulator->Rollout(InitialState(scene), InitialControl(scene, simulator->num_steps())));
-  return simulator->WhyFailed();
+  return simulator->FailureReason();
 }
 
 // Discs in a row that overlap by `overlap`, the first of them that of a wall.
@@ -37,13 +37,13 @@ Scene Row(int discs, double overlap) {
 // Gauss-Seidel passes the weight of a row on by one disc a sweep, and back.
 TEST(IterationLimits, SoftConvexFailsWithoutItsForces) {
   const std::string stiff = "soft_convex:dmin=0.9999:dmax=0.9999";
-  EXPECT_THAT(WhyFailed(stiff, Row(150, 1e-6)),
+  EXPECT_THAT(FailureReason(stiff, Row(150, 1e-6)),
               AllOf(HasSubstr("step 0 of soft_convex"), HasSubstr("sweeps for the contact forces do not converge")));
 }
 
 TEST(IterationLimits, SoftConvexTakesAShorterRow) {
   const auto simulator = MakeSimulator("soft_convex", Row(20, 1e-6), Precision::kDouble);
-  EXPECT_TRUE(simulator->Rollout(InitialState(simulator->scene()), {})) << simulator->WhyFailed();
+  EXPECT_TRUE(simulator->Rollout(InitialState(simulator->scene()), {})) << simulator->FailureReason();
 }
 
 // A disc between two walls that hits them thousands of times in one step.
@@ -53,7 +53,7 @@ TEST(IterationLimits, LcpKktFailsAtItsSubsteps) {
   scene.duration = 0.1;
   scene.bodies = {{.name = "ball", .radius = 0.5, .position = {0.5005, 0}, .velocity = {100, 0}}};
   scene.planes = {{"left", {0, 0}, {1, 0}}, {"right", {1.001, 0}, {-1, 0}}};
-  EXPECT_THAT(WhyFailed("lcp_kkt", scene),
+  EXPECT_THAT(FailureReason("lcp_kkt", scene),
               AllOf(HasSubstr("step 0 of lcp_kkt"), HasSubstr("most substeps"), HasSubstr("(ball)")));
 }
 
@@ -61,7 +61,7 @@ TEST(IterationLimits, QcqpSaysThatItsProgramsDoNotAgree) {
   Scene scene = Row(3, 1e-6);
   scene.contact.friction = 0.5;
   for (Body& body : scene.bodies) body.velocity = {-1, 1};
-  EXPECT_THAT(WhyFailed("qcqp:passes=1", scene), AllOf(HasSubstr("of qcqp"), HasSubstr("do not come to agree")));
+  EXPECT_THAT(FailureReason("qcqp:passes=1", scene), AllOf(HasSubstr("of qcqp"), HasSubstr("do not come to agree")));
 }
 
 // Coordinate descent along a long chain ends at its most sweeps; the solve that follows has the minimum.

@@ -76,7 +76,7 @@ TEST(PbdBrax, RegularisersInOneBounce) {
 TEST(PbdBrax, OddNumberOfStepsIsRefused) {
   Scene scene = ProblemScene("bounce_once");
   scene.steps = 481;
-  EXPECT_FALSE(WhyNotApplicable("pbd_brax", scene).empty());
+  EXPECT_FALSE(ReasonNotApplicable("pbd_brax", scene).empty());
 }
 
 // Each integrator step turns q by the angle atan(h w / 2) and finds the spin 2 sin of it / h.

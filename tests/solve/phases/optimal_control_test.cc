@@ -18,7 +18,7 @@
 namespace saltus {
 namespace {
 
-using At = HybridTerm::At;
+using Timing = HybridTerm::Timing;
 using Role = HybridTerm::Role;
 
 // A system with one mode and without events.
@@ -99,7 +99,7 @@ struct Rows {
   }
 };
 template <int kRows, int kStates>
-HybridTerm StateRows(At at, Role role, std::array<int, kRows> component, std::array<double, kRows> sign,
+HybridTerm StateRows(Timing at, Role role, std::array<int, kRows> component, std::array<double, kRows> sign,
                      std::array<double, kRows> value) {
   return {.at = at,
           .role = role,
@@ -119,7 +119,7 @@ HybridProblem Problem(std::vector<double> initial, double duration, double contr
 
 HybridProblem DoubleIntegratorProblem(int intervals) {
   HybridProblem problem = Problem<DoubleIntegrator, 2, 1>({1, 0}, 3, 0, intervals);
-  problem.terms = {MakeDurationCost(1), StateRows<2, 2>(At::kEnd, Role::kEquality, {0, 1}, {1, 1}, {0, 0})};
+  problem.terms = {MakeDurationCost(1), StateRows<2, 2>(Timing::kEnd, Role::kEquality, {0, 1}, {1, 1}, {0, 0})};
   problem.free.duration = true;
   problem.free.duration_min = 0.5;
   problem.free.duration_max = 10;
@@ -130,7 +130,7 @@ HybridProblem DoubleIntegratorProblem(int intervals) {
 
 HybridProblem BrachistochroneProblem(int intervals) {
   HybridProblem problem = Problem<Brachistochrone, 3, 1>({0, 0, 0}, 1, 0.8, intervals);
-  problem.terms = {MakeDurationCost(1), StateRows<2, 3>(At::kEnd, Role::kEquality, {0, 1}, {1, 1}, {2, 2})};
+  problem.terms = {MakeDurationCost(1), StateRows<2, 3>(Timing::kEnd, Role::kEquality, {0, 1}, {1, 1}, {2, 2})};
   problem.free.duration = true;
   problem.free.duration_min = 0.1;
   problem.free.duration_max = 10;
@@ -140,7 +140,7 @@ HybridProblem BrachistochroneProblem(int intervals) {
 // The loss is the third state itself, which is no square.
 HybridProblem VanDerPolProblem(int intervals, bool bounded) {
   HybridProblem problem = Problem<VanDerPol, 3, 1>({0, 1, 0}, 5, 0, intervals);
-  problem.terms = {StateRows<1, 3>(At::kEnd, Role::kValue, {2}, {1}, {0})};
+  problem.terms = {StateRows<1, 3>(Timing::kEnd, Role::kValue, {2}, {1}, {0})};
   if (bounded) {
     problem.free.control_min = {-0.3};
     problem.free.control_max = {1};
@@ -151,8 +151,8 @@ HybridProblem VanDerPolProblem(int intervals, bool bounded) {
 HybridProblem BrysonDenhamProblem(int intervals) {
   HybridProblem problem = Problem<DoubleIntegrator, 2, 1>({0, 1}, 1, 0, intervals);
   problem.terms = {MakeEffortCost(0.5, 1),
-                   StateRows<2, 2>(At::kEnd, Role::kEquality, {0, 1}, {1, 1}, {0, -1}),
-                   StateRows<1, 2>(At::kEachInterval, Role::kInequality, {0}, {1}, {1.0 / 9})};
+                   StateRows<2, 2>(Timing::kEnd, Role::kEquality, {0, 1}, {1, 1}, {0, -1}),
+                   StateRows<1, 2>(Timing::kEachInterval, Role::kInequality, {0}, {1}, {1.0 / 9})};
   return problem;
 }
 
@@ -162,8 +162,8 @@ HybridProblem RobotArmProblem(int intervals) {
   problem.terms = {
       MakeDurationCost(1),
       StateRows<6, 6>(
-          At::kEnd, Role::kEquality, {0, 1, 2, 3, 4, 5}, {1, 1, 1, 1, 1, 1}, {4.5, 2 * kPi / 3, kPi / 4, 0, 0, 0}),
-      StateRows<4, 6>(At::kEachInterval, Role::kInequality, {0, 0, 2, 2}, {-1, 1, -1, 1}, {0, 5, 0, kPi})};
+          Timing::kEnd, Role::kEquality, {0, 1, 2, 3, 4, 5}, {1, 1, 1, 1, 1, 1}, {4.5, 2 * kPi / 3, kPi / 4, 0, 0, 0}),
+      StateRows<4, 6>(Timing::kEachInterval, Role::kInequality, {0, 0, 2, 2}, {-1, 1, -1, 1}, {0, 5, 0, kPi})};
   problem.free.duration = true;
   problem.free.duration_min = 1;
   problem.free.duration_max = 30;
@@ -175,9 +175,9 @@ HybridProblem RobotArmProblem(int intervals) {
 // The loss is minus the height at the end.
 HybridProblem RocketProblem(int intervals) {
   HybridProblem problem = Problem<Rocket, 3, 1>({1, 0, 1}, 0.2, 1, intervals);
-  problem.terms = {StateRows<1, 3>(At::kEnd, Role::kValue, {0}, {-1}, {0}),
-                   StateRows<1, 3>(At::kEnd, Role::kEquality, {2}, {1}, {0.6}),
-                   StateRows<1, 3>(At::kEachInterval, Role::kInequality, {1}, {-1}, {0})};
+  problem.terms = {StateRows<1, 3>(Timing::kEnd, Role::kValue, {0}, {-1}, {0}),
+                   StateRows<1, 3>(Timing::kEnd, Role::kEquality, {2}, {1}, {0.6}),
+                   StateRows<1, 3>(Timing::kEachInterval, Role::kInequality, {1}, {-1}, {0})};
   problem.free.duration = true;
   problem.free.duration_min = 0.01;
   problem.free.duration_max = 1;
@@ -322,7 +322,7 @@ struct Escaping {
 TEST(OptimalControl, BeginsFromStatesWhereTheControlOfTheGuessHasNoMotion) {
   if (!HasInteriorPoint()) GTEST_SKIP() << "this build has no IPOPT";
   HybridProblem problem = Problem<Escaping, 2, 1>({2, 0}, 3, 0, 60);
-  problem.terms = {MakeEffortCost(1, 1), StateRows<2, 2>(At::kEnd, Role::kEquality, {0, 1}, {1, 1}, {0, 0})};
+  problem.terms = {MakeEffortCost(1, 1), StateRows<2, 2>(Timing::kEnd, Role::kEquality, {0, 1}, {1, 1}, {0, 0})};
   EXPECT_NE(Solve("auto", problem, {.limits = {.iterations = 20}}).termination, Termination::kConverged);
   for (int i = 0; i <= 10; ++i) {
     problem.guess_states.push_back(2 - 0.2 * i);

@@ -63,9 +63,9 @@ TEST(RestoredMotion, HasTheLossOfItsExactSimulation) {
       "    - {body: striker, quantity: velocity, target: [0, 0], weight: 0.01}");
   const Scene scene = AirHockey("    - {body: striker, quantity: velocity, target: [0, 0], weight: 1.0e-9}");
   const SolveReport first = Solve("ceres_phases", {.scene = point, .contact = "event"}, {});
-  OwnTerm goal{.name = "goal", .role = OwnTerm::Role::kInequality, .states = {1}};
+  UserTerm goal{.name = "goal", .role = UserTerm::Role::kInequality, .states = {1}};
   goal.function = std::make_shared<ceres::AutoDiffCostFunction<BehindTheLine, 3, 4>>(new BehindTheLine);
-  OwnTerm slow{.name = "slow", .role = OwnTerm::Role::kInequality, .states = {0}};
+  UserTerm slow{.name = "slow", .role = UserTerm::Role::kInequality, .states = {0}};
   slow.function = std::make_shared<ceres::AutoDiffCostFunction<Slow, 1, 4>>(new Slow);
   for (const char* along : {"striker-puck", "striker-puck,puck-top"}) {
     SolverOptions options{.guess = ControlGuess{first.solution.control, first.solution.durations}};

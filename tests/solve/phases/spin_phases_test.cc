@@ -216,7 +216,7 @@ TEST(SpinPhases, SayHowFarASpinIsOutOfReach) {
   EXPECT_THAT(report.reason, HasSubstr("12 rad/s, by disc"));
 }
 
-// Searched for from a force that does not bring the disc to the wall: without it nothing can spin.
+// SearchStatistics for from a force that does not bring the disc to the wall: without it nothing can spin.
 TEST(SpinPhases, SearchFindsTheWall) {
   Scene scene = SpinControl(60);
   scene.control.initial = {{-0.2, 0.1}};

@@ -343,10 +343,10 @@ TEST(LossBound, OfAFirstTouchIsTheEffortToGetThere) {
   scene.objective.terminal = {{.body = 0, .target = scene.bodies[0].position, .weight = 1e-9}};
   const double d = (scene.bodies[0].position - scene.bodies[1].position).norm() - 0.4;
   const double exact = 3 * scene.objective.effort * d * d / std::pow(scene.duration, 3);
-  const double bound = LossBound(scene).Along({{0, 1, false}});
+  const double bound = LossBound(scene).BoundAlongSequence({{0, 1, false}});
   EXPECT_LE(bound, exact);
   EXPECT_GE(bound, 0.998 * exact);
-  EXPECT_LT(LossBound(scene).Along({}), 1e-8);
+  EXPECT_LT(LossBound(scene).BoundAlongSequence({}), 1e-8);
 }
 
 TEST(ContactSequence, ReadsPairsInAnyOrder) {

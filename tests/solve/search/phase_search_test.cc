@@ -51,7 +51,8 @@ INSTANTIATE_TEST_SUITE_P(All, SearchUnderConstraints, testing::ValuesIn(Referenc
                          [](const auto& test) { return TestName(test.param); });
 
 // A chain in which another impact is worth while: ceres_phases ends at 0.0125, penalised shooting from twenty random
-// starts at 0.0146. The search ends at 0.00847; with luck, which rounding decides, at 0.0040.
+// starts at 0.0146. The search ends at 0.0040 from three of eight sets of random starts, and at 0.00847 from the
+// others.
 TEST(PhaseSearch, FindsABetterSequenceUnderBounds) {
   Scene scene = ControlProblem(4);
   scene.steps = 40;
@@ -60,8 +61,10 @@ TEST(PhaseSearch, FindsABetterSequenceUnderBounds) {
   for (const double force : free.solution.control) largest = std::max(largest, std::abs(force));
   scene.control.max.assign(scene.num_controlled(), 0.75 * largest);
   const SolveReport local = Solve("ceres_phases", {scene, "event"}, {});
-  const SolveReport report = Solve("mode_search", {scene, "event"}, Counted(60, 4));
-  EXPECT_LT(report.solution.loss, 0.7 * local.solution.loss);
+  SolverOptions options = Counted(60, 4);
+  options.sequences.limits.seed = 3;
+  const SolveReport report = Solve("mode_search", {scene, "event"}, options);
+  EXPECT_LT(report.solution.loss, 0.5 * local.solution.loss);
   const ExactRun exact = RollOut(scene, report);
   EXPECT_NEAR(exact.loss, report.solution.loss, 1e-12);
   EXPECT_NE(exact.contacts, RollOut(scene, local).contacts);
@@ -163,7 +166,7 @@ TEST(PhaseSearch, HasTheSameAnswerForAnyNumberOfThreads) {
   EXPECT_EQ(one.reason, three.reason);
 }
 
-// The target cannot get to the origin under this bound (sequence_mending_test has the miss in closed form).
+// The target cannot get to the origin under this bound (sequence_update_test has the miss in closed form).
 TEST(PhaseSearch, SaysWhatIsMissedAtLeast) {
   Scene scene = ProblemScene("two_balls");
   scene.steps = 60;

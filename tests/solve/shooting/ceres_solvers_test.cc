@@ -118,7 +118,7 @@ INSTANTIATE_TEST_SUITE_P(Solvers, LinearQuadratic,
 TEST(CeresLm, ReachesTheKktSolutionUnderEveryModel) {
   const Scene scene = LinearQuadraticScene();
   for (const ModelTraits& model : AllContactModels()) {
-    if (!WhyNotApplicable(model.name, scene).empty()) continue;
+    if (!ReasonNotApplicable(model.name, scene).empty()) continue;
     const int num_steps = kSteps / model.grid_steps;
     const double implicit_loss = SolveKkt(scene, num_steps, false).loss;
     const double explicit_loss = SolveKkt(scene, num_steps, true).loss;

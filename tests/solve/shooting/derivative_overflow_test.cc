@@ -55,7 +55,7 @@ TEST(DerivativeOverflow, MoreStepsHaveTheDerivative) {
   SingleShooting shooting(MakeSimulator("event", Counting(12), Precision::kDouble));
   double loss = 0, gradient[2];
   ASSERT_TRUE(shooting.Evaluate(shooting.initial_guess(), &loss, gradient));
-  EXPECT_EQ(shooting.WhyFailed(), "");
+  EXPECT_EQ(shooting.FailureReason(), "");
   const double by_velocity = (EndOf(-1 + 1e-6) - EndOf(-1 - 1e-6)) / 2e-6;
   EXPECT_NEAR(gradient[0], 2 * (EndOf(-1) - kTarget) * by_velocity, 1e-2);
   EXPECT_NEAR(by_velocity, -6, 0.01);

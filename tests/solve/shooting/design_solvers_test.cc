@@ -234,7 +234,7 @@ TEST(DesignSolvers, DerivativesBesidePathCostsAreThoseOfTheLoss) {
   scene.design = {Design("mass.target", scene), Design("restitution", scene), Design("radius.target", scene)};
   scene.contact.restitution = 0.8;
   const auto of_scene = [](const Scene& other) { return MakeSimulator("event", other, Precision::kDouble); };
-  SingleShooting shooting(of_scene(scene), SingleShooting::Variables::kOfScene, of_scene);
+  SingleShooting shooting(of_scene(scene), SingleShooting::Variables::kOptimized, of_scene);
   ASSERT_EQ(shooting.num_variables(), 12 * 2 + 1 + 3);
   const std::vector<double> at = shooting.initial_guess();
   std::vector<double> gradient(at.size());

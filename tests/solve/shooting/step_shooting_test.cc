@@ -130,7 +130,7 @@ TEST(CeresShooting, LowersTheLossOfManyDiscsUnderEveryModel) {
   const Scene scene = FourDiscs(0.2);
   int models = 0;
   for (const ModelTraits& model : AllContactModels()) {
-    if (!WhyNotApplicable(model.name, scene).empty()) continue;
+    if (!ReasonNotApplicable(model.name, scene).empty()) continue;
     if (std::isinf(model.push_gap)) continue;  // solves for all discs in every step: 20 s
     ++models;
     const SolveReport report =

@@ -41,7 +41,7 @@ TEST(Smoothed, ZerothOrderRepairsWrongSigns) {
     const Scene scene = ProblemScene(problem);
     const ModelGradient own = ComputeGradient("direct", scene, Precision::kDouble);
     const ModelGradient smoothed = Smooth("direct", scene, kZeroth);
-    const ModelGradient exact = *ExactGradientOf(scene);
+    const ModelGradient exact = *ComputeExactGradient(scene);
     ASSERT_TRUE(smoothed.ok()) << smoothed.reason;
     bool flips = false;
     for (size_t i = 0; i < exact.gradient.initial.size(); ++i) {
@@ -117,7 +117,7 @@ TEST(Smoothed, SegmentsShareOnePerturbation) {
   const ModelGradient fine = Smooth("event", scene, surrogate);
   surrogate.segments = 24;
   const ModelGradient coarse = Smooth("event", scene, surrogate);
-  const std::vector<double> exact = CoarsenControl(ExactGradientOf(scene)->gradient.control, 480, 24);
+  const std::vector<double> exact = CoarsenControl(ComputeExactGradient(scene)->gradient.control, 480, 24);
   for (int segment = 0; segment < 24; ++segment) {
     for (int j = 0; j < 2; ++j) {
       const int first = 2 * 20 * segment + j;
@@ -344,7 +344,7 @@ TEST(Surrogates, AreForModelsAndSolversThatTakeThem) {
 
 TEST(Surrogates, AreAuditedAsBiased) {
   const Scene scene = ProblemScene("two_balls");
-  const std::optional<ModelGradient> exact = ExactGradientOf(scene);
+  const std::optional<ModelGradient> exact = ComputeExactGradient(scene);
   for (Surrogate surrogate : {kZeroth, kFirst, kComplementarityAware}) {
     surrogate.samples = 100;
     const ModelAudit audit = AuditModel("lcp", scene, Precision::kDouble, exact, {.surrogate = surrogate});
@@ -352,7 +352,7 @@ TEST(Surrogates, AreAuditedAsBiased) {
     EXPECT_FALSE(audit.refinement || audit.attribution || audit.widths);
     ASSERT_TRUE(audit.error.has_value());
     EXPECT_EQ(audit.error->in_standard_errors.has_value(), surrogate.smooths());
-    EXPECT_NE(audit.Why(), "");
+    EXPECT_NE(audit.VerdictReason(), "");
   }
 }
 
@@ -360,7 +360,7 @@ TEST(Surrogates, AreAuditedAsBiased) {
 // wrong.
 TEST(Surrogates, SamplesThatAgreeHaveNoStandardErrors) {
   const Scene scene = ProblemScene("bounce_once");
-  const std::optional<ModelGradient> exact = ExactGradientOf(scene);
+  const std::optional<ModelGradient> exact = ComputeExactGradient(scene);
   Surrogate surrogate = kFirst;
   surrogate.samples = 20;
   const auto audit = [&](const char* contact) {
@@ -368,10 +368,10 @@ TEST(Surrogates, SamplesThatAgreeHaveNoStandardErrors) {
   };
   const ModelAudit right = audit("event"), wrong = audit("direct");
   EXPECT_LT(*right.error->in_standard_errors, 3) << "rounding is no deviation";
-  EXPECT_THAT(right.Why(), HasSubstr(" standard errors from the exact gradient"));
+  EXPECT_THAT(right.VerdictReason(), HasSubstr(" standard errors from the exact gradient"));
   EXPECT_TRUE(std::isinf(*wrong.error->in_standard_errors));
-  EXPECT_THAT(wrong.Why(), HasSubstr("wrong in an entry on which all samples agree"));
-  EXPECT_THAT(wrong.Why(), Not(HasSubstr("inf")));
+  EXPECT_THAT(wrong.VerdictReason(), HasSubstr("wrong in an entry on which all samples agree"));
+  EXPECT_THAT(wrong.VerdictReason(), Not(HasSubstr("inf")));
 }
 
 }  // namespace

@@ -9,7 +9,7 @@
 namespace saltus {
 
 // An externally computed gradient. Numbers that are not known are NaN, and lists may end early.
-struct GivenGradient {
+struct ExternalGradient {
   std::string name;                        // for outputs
   double tolerance = 0;                    // absolute, for numbers that were rounded when they were printed
   std::vector<double> position, velocity;  // B x 2, by x and y of each disc of the scene
@@ -19,7 +19,7 @@ struct GivenGradient {
   int intervals = 0;            // number of equal parts of the horizon that `control` is for; 0: one for each step
 };
 
-struct GivenEntry {
+struct ExternalGradientEntry {
   std::string entry;  // its name, such as "px ball", "angle ball" or "ux[3] ball" (interval 3)
   double given = 0, exact = 0;
   // kRight within the tolerance, or within 1e-6 of the quantity's largest entry; else kWrongSign or kWrong. kAmbiguous
@@ -29,9 +29,10 @@ struct GivenEntry {
 
 // Compares each entry that is not NaN. Precondition: `exact` is ok() and of this scene; the lists of `given` are not
 // longer than those of `exact`, whose number of steps is a multiple of `intervals`.
-std::vector<GivenEntry> JudgeGiven(const Scene& scene, const GivenGradient& given, const ModelGradient& exact);
+std::vector<ExternalGradientEntry> JudgeExternalGradient(const Scene& scene, const ExternalGradient& given,
+                                                         const ModelGradient& exact);
 
 // Returns the worst verdict; kUnknown if there are no entries.
-Verdict WorstOf(const std::vector<GivenEntry>& entries);
+Verdict WorstVerdict(const std::vector<ExternalGradientEntry>& entries);
 
 }  // namespace saltus

@@ -29,9 +29,9 @@ Scene AlongAChannel(double gap) {
 }
 
 // Differences begin at a tenth of the way of a step, 0.01 m.
-TEST(OwnDifferences, AgreeOnceTheyAreNarrowEnough) {
+TEST(GradientCheck, AgreeOnceTheyAreNarrowEnough) {
   for (const double gap : {1e-3, 1e-5, 1e-7}) {
-    EXPECT_EQ(CompareWithOwnDifferences("event", AlongAChannel(gap)).agreement, Agreement::kAgrees) << gap;
+    EXPECT_EQ(CheckGradient("event", AlongAChannel(gap)).agreement, Agreement::kAgrees) << gap;
   }
 }
 
@@ -41,7 +41,7 @@ const ParameterAudit* Find(const std::vector<ParameterAudit>& audits, const std:
 }
 
 // A ball on soft ground bounces once.
-TEST(OwnDifferences, OfParametersOfEveryModelThatHasThem) {
+TEST(GradientCheck, OfParametersOfEveryModelThatHasThem) {
   Scene scene = ProblemScene("bounce_once");
   scene.contact.restitution = 0.7;
   scene.contact.damping = 3;

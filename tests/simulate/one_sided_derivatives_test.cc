@@ -1,6 +1,6 @@
 // Derivatives of motion in lasting contact, against differences of the loss itself from each side, and which of them
 // exist from one side only.
-#include "saltus/simulate/event_sides.h"
+#include "saltus/simulate/one_sided_derivatives.h"
 
 #include <gtest/gtest.h>
 

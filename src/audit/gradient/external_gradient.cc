@@ -1,4 +1,4 @@
-#include "saltus/audit/given.h"
+#include "saltus/audit/external_gradient.h"
 
 #include <glog/logging.h>
 
@@ -23,11 +23,12 @@ Verdict Judge(double given, double exact, double largest, double tolerance) {
 
 }  // namespace
 
-std::vector<GivenEntry> JudgeGiven(const Scene& scene, const GivenGradient& given, const ModelGradient& exact) {
+std::vector<ExternalGradientEntry> JudgeExternalGradient(const Scene& scene, const ExternalGradient& given,
+                                                         const ModelGradient& exact) {
   CHECK(exact.ok());
   CHECK_EQ(static_cast<int>(exact.gradient.initial.size()), InitialSize(scene));
   CHECK_EQ(static_cast<int>(exact.gradient.control.size()), scene.control_width() * exact.num_steps);
-  std::vector<GivenEntry> entries;
+  std::vector<ExternalGradientEntry> entries;
   // Adds a number that is known. Derivatives by a torque are judged as those by the force at the radius that makes it.
   const auto add = [&](const std::string& name, double value, double at, double largest, double radius = 1) {
     if (std::isnan(value)) return;
@@ -73,19 +74,19 @@ std::vector<GivenEntry> JudgeGiven(const Scene& scene, const GivenGradient& give
     }
   }
   for (int k = 0; k < given_intervals; ++k) {
-    for (int t = 0; t < scene.num_turned(); ++t) {
-      const int body = scene.control.turned[t];
+    for (int t = 0; t < scene.num_torques(); ++t) {
+      const int body = scene.control.torque_bodies[t];
       const auto c = std::ranges::find(scene.control.bodies, body) - scene.control.bodies.begin();
-      const double torque = given.control[k * width + c * columns + 2], at = control[scene.TurnIndex(k, t)];
+      const double torque = given.control[k * width + c * columns + 2], at = control[scene.TorqueIndex(k, t)];
       add("torque" + of(k, body), torque, at, largest, scene.bodies[body].radius);
     }
   }
   return entries;
 }
 
-Verdict WorstOf(const std::vector<GivenEntry>& entries) {
+Verdict WorstVerdict(const std::vector<ExternalGradientEntry>& entries) {
   Verdict worst = entries.empty() ? Verdict::kUnknown : Verdict::kRight;
-  for (const GivenEntry& entry : entries) worst = std::max(worst, entry.verdict);
+  for (const ExternalGradientEntry& entry : entries) worst = std::max(worst, entry.verdict);
   return worst;
 }
 

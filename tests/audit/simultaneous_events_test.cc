@@ -12,7 +12,7 @@ namespace {
 
 // Discs that rest have no impacts, and thousands where they are moved a little: differences by every entry would take
 // minutes. A simulator asks before every step with contact whether it shall stop.
-TEST(OneSidedAtOnce, IsNotLookedForWhereDisturbedMotionsHaveManyImpacts) {
+TEST(OneSidedBySimultaneousEvents, IsNotLookedForWhereDisturbedMotionsHaveManyImpacts) {
   Scene scene;
   scene.duration = 1;
   scene.steps = 240;
@@ -26,7 +26,7 @@ TEST(OneSidedAtOnce, IsNotLookedForWhereDisturbedMotionsHaveManyImpacts) {
   scene.objective.terminal = {{.body = 19}};
   const int enough = 10 * scene.steps;
   int asked = 0;
-  EXPECT_THAT(OneSidedAtOnce("event", scene, {}, [&] { return ++asked > enough; }), testing::IsEmpty());
+  EXPECT_THAT(OneSidedBySimultaneousEvents("event", scene, {}, [&] { return ++asked > enough; }), testing::IsEmpty());
   EXPECT_LE(asked, enough);
 }
 

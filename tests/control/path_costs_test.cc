@@ -35,12 +35,12 @@ Scene Struck() {
 }
 
 SingleShooting Shooting(const Scene& scene, const std::string& contact) {
-  SingleShooting::OfScene of_scene;
+  SingleShooting::SimulatorFactory of_scene;
   if (scene.objective.duration) {
     of_scene = [=](const Scene& other) { return MakeSimulator(contact, other, Precision::kDouble); };
   }
   return SingleShooting(
-      MakeSimulator(contact, scene, Precision::kDouble), SingleShooting::Variables::kOfScene, of_scene);
+      MakeSimulator(contact, scene, Precision::kDouble), SingleShooting::Variables::kOptimized, of_scene);
 }
 
 // Forces that differ from step to step.
@@ -56,7 +56,7 @@ void ExpectGradient(const Scene& scene, const std::string& contact, double toler
   SingleShooting shooting = Shooting(scene, contact);
   std::vector<double> z = Wavy(shooting), gradient(z.size());
   double loss = 0;
-  ASSERT_TRUE(shooting.Evaluate(z, &loss, gradient.data())) << shooting.WhyFailed();
+  ASSERT_TRUE(shooting.Evaluate(z, &loss, gradient.data())) << shooting.FailureReason();
   double largest = 1;
   for (double g : gradient) largest = std::max(largest, std::abs(g));
   for (size_t i = 0; i < z.size(); ++i) {
@@ -82,7 +82,7 @@ void ExpectResiduals(const Scene& scene, const std::string& contact) {
   const size_t rows = shooting.num_residuals(), n = z.size();
   std::vector<double> r(rows), jacobian(rows * n), gradient(n);
   double loss = 0;
-  ASSERT_TRUE(shooting.EvaluateResiduals(z, r.data(), jacobian.data())) << shooting.WhyFailed();
+  ASSERT_TRUE(shooting.EvaluateResiduals(z, r.data(), jacobian.data())) << shooting.FailureReason();
   ASSERT_TRUE(shooting.Evaluate(z, &loss, gradient.data()));
   const size_t forces = n - shooting.has_duration();
   const bool controls = scene.optimize == Optimize::kControl;
@@ -102,7 +102,7 @@ void ExpectResiduals(const Scene& scene, const std::string& contact) {
   }
 }
 
-TEST(WayCosts, ExactGradientIsTheDerivative) {
+TEST(PathCosts, ExactGradientIsTheDerivative) {
   ExpectGradient(Struck(), "event", 2e-9);
   Scene thrown = Struck();
   thrown.optimize = Optimize::kVelocity;
@@ -110,13 +110,13 @@ TEST(WayCosts, ExactGradientIsTheDerivative) {
   ExpectGradient(thrown, "event", 2e-9);
 }
 
-TEST(WayCosts, ExactGradientByTheFinalTimeIsTheDerivative) {
+TEST(PathCosts, ExactGradientByTheFinalTimeIsTheDerivative) {
   Scene scene = Struck();
   scene.objective.duration = FreeDuration{0.9, 3, 0.4};
   ExpectGradient(scene, "event", 2e-9);
 }
 
-TEST(WayCosts, GradientOfAModelsOwnStepsIsTheDerivative) {
+TEST(PathCosts, GradientOfAModelsOwnStepsIsTheDerivative) {
   Scene scene = Struck();
   scene.contact.friction = 0;
   for (const char* contact : {"direct_toi", "compliant_warp", "toi_velocity"}) ExpectGradient(scene, contact, 1e-8);
@@ -125,7 +125,7 @@ TEST(WayCosts, GradientOfAModelsOwnStepsIsTheDerivative) {
   ExpectGradient(scene, "direct_toi", 1e-8);
 }
 
-TEST(WayCosts, ResidualsAreThoseOfTheLoss) {
+TEST(PathCosts, ResidualsAreThoseOfTheLoss) {
   Scene scene = Struck();
   ExpectResiduals(scene, "event");
   scene.objective.duration = FreeDuration{0.9, 3, 0.4};
@@ -139,7 +139,7 @@ TEST(WayCosts, ResidualsAreThoseOfTheLoss) {
   ExpectResiduals(scene, "direct_toi");
 }
 
-TEST(WayCosts, ExactLossIsThatOfTheReSimulation) {
+TEST(PathCosts, ExactLossIsThatOfTheReSimulation) {
   Scene scene = Struck();
   scene.objective.duration = FreeDuration{0.9, 3, 0.4};
   SingleShooting shooting = Shooting(scene, "event");
@@ -155,7 +155,7 @@ TEST(WayCosts, ExactLossIsThatOfTheReSimulation) {
 }
 
 // The trapezoidal rule on smooth flight is off by the square of the step, and the exact integral is what it tends to.
-TEST(WayCosts, OwnStepsApproachTheExactIntegral) {
+TEST(PathCosts, OwnStepsApproachTheExactIntegral) {
   Scene scene = Struck();
   scene.contact.friction = 0;
   scene.control.initial = {{0.5, -0.2}};  // meets nothing
@@ -175,7 +175,7 @@ TEST(WayCosts, OwnStepsApproachTheExactIntegral) {
   EXPECT_GT(std::log(errors[0] / errors[1]) / std::log(4.0), 0.9);
 }
 
-TEST(WayCosts, SaysWhyAFinalTimeBeforeAViaTermIsNone) {
+TEST(PathCosts, SaysWhyAFinalTimeBeforeAViaTermIsNone) {
   Scene scene = Struck();
   scene.objective.duration = FreeDuration{0.5, 3, 0.4};
   SingleShooting shooting = Shooting(scene, "event");
@@ -183,7 +183,7 @@ TEST(WayCosts, SaysWhyAFinalTimeBeforeAViaTermIsNone) {
   z.back() = 0.6;
   double loss = 0;
   EXPECT_FALSE(shooting.Evaluate(z, &loss, nullptr));
-  EXPECT_EQ(shooting.WhyFailed(), "the final time is not after the times of all waypoint costs");
+  EXPECT_EQ(shooting.FailureReason(), "the final time is not after the times of all waypoint costs");
 }
 
 }  // namespace

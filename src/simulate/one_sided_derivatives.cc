@@ -1,4 +1,4 @@
-#include "saltus/simulate/event_sides.h"
+#include "saltus/simulate/one_sided_derivatives.h"
 
 #include <algorithm>
 #include <cmath>
@@ -102,7 +102,7 @@ class Sides {
     AddOneSided(c, quantity, -direction);
   }
 
-  std::vector<OneSided> All() const {
+  std::vector<OneSided> ListOneSided() const {
     std::vector<OneSided> all;
     for (int i = 0; i < static_cast<int>(missing_.size()); ++i) {
       if (start_.in.bodies[i].fixed) continue;
@@ -264,7 +264,7 @@ std::vector<OneSided> FindOneSided(const Scene& scene) {
     }
     if (group.SolveForces()) AddPressed<kRotation>(scene, start, group, &sides);
   }
-  return sides.All();
+  return sides.ListOneSided();
 }
 
 }  // namespace

@@ -7,7 +7,7 @@
 //       return true;
 //     }
 //   };
-//   OwnTerm drag{.at = OwnTerm::At::kEachStep, .states = {0}, .with_length = true};
+//   UserTerm drag{.at = UserTerm::Timing::kEachStep, .states = {0}, .with_length = true};
 //   drag.function = std::make_shared<ceres::AutoDiffCostFunction<Drag, 2, 4, 1>>(new Drag);
 //   Solve("ceres_phases", {.scene = scene, .contact = "event", .terms = {drag}}, {});
 #pragma once
@@ -25,13 +25,14 @@ class CostFunction;
 namespace saltus {
 
 // A user-defined term. Its residuals are evaluated in the exact motion, in each control interval or at the end.
-struct OwnTerm {
-  enum class At { kEachStep, kEnd };  // at the beginning of each control interval, which is called a step here; or at T
+struct UserTerm {
+  // At the beginning of each control interval, which is called a step here, or at the final time.
+  enum class Timing { kEachStep, kEnd };
   // The role of all residuals r: the loss gains |r|^2 (without Ceres' half), or r = 0, or r <= 0.
   enum class Role { kCost, kEquality, kInequality };
 
   std::string name = "own term";  // for messages
-  At at = At::kEnd;
+  Timing at = Timing::kEnd;
   Role role = Role::kCost;
 
   // The function's parameter blocks, in this order, in SI units; one block for each disc that a list below names:
@@ -58,6 +59,6 @@ struct OwnTerm {
 
 // Returns the first error as "found x, expected y" behind the name of the term; empty if there is none. The sizes of
 // the function's blocks are checked.
-std::string WhatIsWrongWith(const OwnTerm& term, const Scene& scene);
+std::string Validate(const UserTerm& term, const Scene& scene);
 
 }  // namespace saltus

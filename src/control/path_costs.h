@@ -14,11 +14,11 @@
 
 namespace saltus {
 
-class WayCosts {
+class PathCosts {
  public:
   // Returns null if the scene has no path costs and its final time is fixed.
-  static std::unique_ptr<WayCosts> Make(const Simulator& simulator);
-  virtual ~WayCosts() = default;
+  static std::unique_ptr<PathCosts> Make(const Simulator& simulator);
+  virtual ~PathCosts() = default;
 
   // To be called after a rollout, which must remain the simulator's last one while the other functions are called.
   // Returns why the costs are not defined; empty if they are.

@@ -72,7 +72,7 @@ class SequenceUpdate {
   SolveReport Solve() {
     const SolverOptions& options = run_.options();
     const bool mends = options.sequences.search && !run_.given_sequence();
-    lowest_ = run_.WithinBounds(run_.guess());
+    lowest_ = run_.ClampToBounds(run_.guess());
     if (!lowest_.exact.ok) lowest_ = run_.guess();
     Add(TaskAlong(SequenceFor(run_.guess()), run_.guess()));
     if (lowest_.control != run_.guess().control && lowest_.exact.only_impacts) {
@@ -92,7 +92,7 @@ class SequenceUpdate {
       if (MayTry(task)) Attempt(task, mends);
     }
     if (mends && !interrupted_ && HasOptimum() && EndsWithBest() && IsAtKink()) {
-      for (const Trial& aside : BetterBesideBest()) Meet(aside);
+      for (const Trial& aside : NeighboursBetterThanBest()) ConsiderTrial(aside);
     }
     if (mends && !interrupted_ && !EndsWithBest()) TakeLowest();
     return Report();
@@ -124,7 +124,7 @@ class SequenceUpdate {
 
   // A motion along the sequence that the options ask for is better than any other, and of two such motions one that
   // meets the constraints, whatever their losses.
-  void Meet(const Trial& trial) {
+  void ConsiderTrial(const Trial& trial) {
     const auto rank = [&](const Trial& of) { return std::pair(IsAsked(of), MeetsConstraints(of)); };
     const auto now = rank(trial), before = rank(lowest_);
     if (now == before ? Merit(trial) < Merit(lowest_) : now > before) lowest_ = trial;
@@ -193,14 +193,14 @@ class SequenceUpdate {
       last_ = attempt;
       last_plan_ = task.plan;
     }
-    Meet(attempt.trial);
+    ConsiderTrial(attempt.trial);
     // The last iterate of a solve that is interrupted need not meet the equations of the motion, nor the constraints.
     if (interrupted_ || run_.IsOutOfIterations()) {
       const bool keeps_constraints = MeetsConstraints(lowest_);
-      const auto better = WalkTo(run_, attempt.trial, task.start.trial, [&](const Trial& trial) {
+      const auto better = LineSearch(run_, attempt.trial, task.start.trial, [&](const Trial& trial) {
         return !keeps_constraints || MeetsConstraints(trial);
       });
-      if (better) Meet(*better);
+      if (better) ConsiderTrial(*better);
     }
     Remember(task, attempt, left);
     const double least_planned = unrealized_ ? unrealized_->first.planned_loss : INFINITY;
@@ -265,8 +265,8 @@ class SequenceUpdate {
     std::vector<Task> moves;
     const Trial& trial = attempt.trial;
     if (!attempt.feasible()) {
-      if (const auto better = WalkTo(run_, trial, task.start.trial)) {
-        moves.push_back(WithApart(TaskAlong(better->exact.contacts, *better), task.plan.apart));
+      if (const auto better = LineSearch(run_, trial, task.start.trial)) {
+        moves.push_back(AddSeparatedPairs(TaskAlong(better->exact.contacts, *better), task.plan.apart));
         moves.back().rank = Rank::kBetterMotion;
       }
     }
@@ -281,16 +281,16 @@ class SequenceUpdate {
     // Where phases of free lengths have no optimum, the intervals as they are may have one.
     if (!attempt.converged) {
       for (auto& [plan, times] : run_.PlansWithJumpsOnGrid(task.plan, task.start.trial)) {
-        moves.push_back(WithApart({std::move(plan), {std::move(times), task.start.trial}}, task.plan.apart));
+        moves.push_back(AddSeparatedPairs({std::move(plan), {std::move(times), task.start.trial}}, task.plan.apart));
       }
     }
     if (attempt.converged && attempt.feasible()) {
       for (auto& [plan, times] : run_.PlansThroughTouches(trial)) {
-        moves.push_back(WithApart({std::move(plan), {std::move(times), trial}}, task.plan.apart));
+        moves.push_back(AddSeparatedPairs({std::move(plan), {std::move(times), trial}}, task.plan.apart));
       }
     }
     if (!attempt.realized && std::isfinite(Merit(trial))) {
-      moves.push_back(WithApart(TaskAlong(trial.exact.contacts, trial), task.plan.apart));
+      moves.push_back(AddSeparatedPairs(TaskAlong(trial.exact.contacts, trial), task.plan.apart));
       for (const Event& met : trial.exact.contacts) {  // those forbidden are kept apart in any case
         if (!keeps_apart) break;
         if (Contains(task.plan.Sequence(), met) || Contains(task.plan.apart, met)) continue;
@@ -301,7 +301,7 @@ class SequenceUpdate {
     return moves;
   }
 
-  static Task WithApart(Task task, const Sequence& apart) {
+  static Task AddSeparatedPairs(Task task, const Sequence& apart) {
     const Sequence met = task.plan.Sequence();
     for (const Event& event : apart) {
       if (!Contains(met, event)) task.plan.apart.push_back(event);
@@ -399,7 +399,7 @@ class SequenceUpdate {
     const Certificate certificate = run_.Certify(best_->trial);
     if (!certificate.IsSaddle()) return;
     ++saddles_;
-    GoOnFrom(run_.StepAside(best_->trial, certificate.curvature->direction));
+    ContinueFrom(run_.SearchBothSides(best_->trial, certificate.curvature->direction));
   }
 
   // Whether the best optimum is held where the loss has a kink, and no certificate speaks for it.
@@ -411,20 +411,20 @@ class SequenceUpdate {
 
   void LeaveKinkOfBest() {
     if (!HasOptimum() || kinks_ >= mending::kMostKinks || !IsAtKink()) return;
-    std::vector<Trial> better = BetterBesideBest();
+    std::vector<Trial> better = NeighboursBetterThanBest();
     if (better.size() > mending::kMostFromKink) better.resize(mending::kMostFromKink);
-    GoOnFrom(better);
+    ContinueFrom(better);
   }
 
   // Returns motions beside the best optimum, best first. A motion that keeps a gap open by a margin is better with a
   // smaller one, and one whose node is at an event may be so with the event beside it, but by little.
-  std::vector<Trial> BetterBesideBest() {
+  std::vector<Trial> NeighboursBetterThanBest() {
     std::vector<Trial> better;
     NormalStream random(static_cast<std::uint64_t>(++kinks_));
     const double least = Merit(best_->trial) - mending::kLeavesKink * std::abs(Merit(best_->trial));
     for (int i = 0; i < mending::kDirections; ++i) {
       const std::vector<double> direction = RandomDirection(i % 2 == 1, &random);
-      for (Trial& aside : run_.StepAside(best_->trial, direction)) {
+      for (Trial& aside : run_.SearchBothSides(best_->trial, direction)) {
         if (MeetsConstraints(aside) && Merit(aside) < least) better.push_back(std::move(aside));
       }
     }
@@ -472,10 +472,10 @@ class SequenceUpdate {
   }
 
   // Adds the tasks along the sequences of better motions, best first.
-  void GoOnFrom(const std::vector<Trial>& better) {
+  void ContinueFrom(const std::vector<Trial>& better) {
     idle_ = 0;
     for (size_t i = better.size(); i-- > 0;) {
-      Meet(better[i]);
+      ConsiderTrial(better[i]);
       if (!better[i].exact.only_impacts) continue;
       tasks_.push_back(TaskAlong(better[i].exact.contacts, better[i]));
       tasks_.back().rank = Rank::kBetterMotion;
@@ -541,24 +541,24 @@ class SequenceUpdate {
   Termination Judge(std::string* reason) {
     if (interrupted_) return Termination::kInterrupted;
     if (tried_.empty() && !run_.IsOutOfIterations()) {
-      *reason = WhyNothingTried();
+      *reason = ReasonNothingTried();
       return Termination::kFailed;
     }
     if (EndsWithBest()) {
       Certify();
       return Termination::kConverged;
     }
-    if (*reason = run_.WhyNoDerivative(lowest_); !reason->empty()) return Termination::kFailed;
+    if (*reason = run_.ReasonNoDerivative(lowest_); !reason->empty()) return Termination::kFailed;
     if (found_optimum_) {
       *reason = "no optimum found has a lower loss than the motion returned, which is no optimum";
     } else if (IsOpen(lowest_)) {
-      *reason = "no feasible motion " + With(run_.NameOf(lowest_.exact.contacts)) +
+      *reason = "no feasible motion " + SequenceText(run_.NameOf(lowest_.exact.contacts)) +
                 " was found; the least violation is " + run_.DescribeMiss(lowest_);
     } else if (!best_ && last_ && !(last_->converged && last_->realized)) {
       const Sequence& returned = lowest_.exact.contacts;
       *reason = last_->converged
-                    ? run_.WhyNotRealized(last_->trial, last_plan_.Sequence())
-                    : "the last solve, of motions " + With(run_.NameOf(last_plan_)) + ", has not converged";
+                    ? run_.ReasonNotRealized(last_->trial, last_plan_.Sequence())
+                    : "the last solve, of motions " + SequenceText(run_.NameOf(last_plan_)) + ", has not converged";
       if ((last_->converged ? last_->trial.exact.contacts : last_plan_.Sequence()) != returned) {
         *reason += "; the sequence of the motion returned is " + run_.NameOf(returned);
       }
@@ -566,12 +566,12 @@ class SequenceUpdate {
     if (reason->empty()) *reason = "no solve along the sequences tried ended at an optimum";
     if (unrealized_ && unrealized_->first.planned_loss < lowest_.exact.loss) {
       *reason += "; lower is the loss of a plan, but " +
-                 run_.WhyNotRealized(unrealized_->first.trial, unrealized_->second.Sequence());
+                 run_.ReasonNotRealized(unrealized_->first.trial, unrealized_->second.Sequence());
     }
     return run_.IsOutOfIterations() ? Termination::kIterationLimit : Termination::kNoProgress;
   }
 
-  std::string WhyNothingTried() const {
+  std::string ReasonNothingTried() const {
     if (passed_.empty()) {
       return "the events of the sequence cannot follow one another, or the last one cannot end the motion";
     }
@@ -579,13 +579,14 @@ class SequenceUpdate {
     const auto phases = std::count(plan.tied.begin(), plan.tied.end(), false) + 1;
     if (phases > run_.num_steps()) {
       return "the control has " + std::to_string(run_.num_steps()) +
-             (run_.num_steps() == 1 ? " interval" : " intervals") + ", and a motion " + With(run_.NameOf(plan)) +
-             " has " + std::to_string(phases) + " phases: expected an interval for each phase, or more";
+             (run_.num_steps() == 1 ? " interval" : " intervals") + ", and a motion " +
+             SequenceText(run_.NameOf(plan)) + " has " + std::to_string(phases) +
+             " phases: expected an interval for each phase, or more";
     }
-    return "no motion " + With(run_.NameOf(plan)) + " was found for the solve to start from";
+    return "no motion " + SequenceText(run_.NameOf(plan)) + " was found for the solve to start from";
   }
 
-  static std::string With(const std::string& events) {
+  static std::string SequenceText(const std::string& events) {
     return events == "none" ? "without events" : "with the sequence " + events;
   }
 
@@ -632,7 +633,7 @@ class SequenceUpdate {
 // that of a motion beside a saddle. Saddles are left. The report is of the best control whose exact roll-out has its
 // plan, and lists in `reason` the sequences that were passed.
 template <typename Run>
-SolveReport SolveMending(Run* run, const TryPlanOf<Run>& try_plan) {
+SolveReport SolveWithSequenceUpdates(Run* run, const TryPlanOf<Run>& try_plan) {
   return SequenceUpdate<Run>(run, try_plan).Solve();
 }
 

@@ -20,7 +20,7 @@ namespace saltus {
 inline constexpr int kMostUnderWay = 8;
 
 template <typename Task, typename Finding>
-struct TaskLine {
+struct TaskQueue {
   std::function<std::optional<Task>()> draw;        // the next; nothing if there is none until another is looked at
   std::function<Finding(const Task&)> solve;        // called by several threads at the same time
   std::function<void(const Task&, Finding)> look;   // at what the task has found
@@ -28,7 +28,7 @@ struct TaskLine {
 
   // Works until no task runs and none is drawn. An exception of `solve` is thrown here, where its outcome would be
   // consumed. Precondition: threads > 0; with one thread the caller does all work.
-  void WorkOff(int threads);
+  void RunAll(int threads);
 
  private:
   enum class State { kWaiting, kBegun, kSolved };
@@ -65,7 +65,7 @@ struct TaskLine {
 };
 
 template <typename Task, typename Finding>
-void TaskLine<Task, Finding>::Fill(Shared* shared, long long* drawn, int* short_ones) const {
+void TaskQueue<Task, Finding>::Fill(Shared* shared, long long* drawn, int* short_ones) const {
   while (*short_ones < kMostUnderWay) {
     std::optional<Task> task = draw();
     if (!task) return;
@@ -82,7 +82,7 @@ void TaskLine<Task, Finding>::Fill(Shared* shared, long long* drawn, int* short_
 
 // Solves what waits, the next one to be looked at first, until the line is closed.
 template <typename Task, typename Finding>
-void TaskLine<Task, Finding>::Help(Shared* shared) const {
+void TaskQueue<Task, Finding>::Help(Shared* shared) const {
   std::unique_lock lock(shared->mutex);
   while (!shared->closed) {
     auto next = shared->entries.begin();
@@ -105,7 +105,7 @@ void TaskLine<Task, Finding>::Help(Shared* shared) const {
 }
 
 template <typename Task, typename Finding>
-void TaskLine<Task, Finding>::WorkOff(int threads) {
+void TaskQueue<Task, Finding>::RunAll(int threads) {
   Shared shared;
   long long drawn = 0;
   int short_ones = 0;

@@ -66,7 +66,7 @@ class Sides {
       : shooting_(*shooting), loss_(loss), gradient_(std::move(gradient)) {}
 
   // Returns the side on which the derivative holds; std::nullopt if it holds on both, or if differences do not decide.
-  std::optional<OneSided::Side> Of(int variable, double scale) {
+  std::optional<OneSided::Side> FindSide(int variable, double scale) {
     const Found below = Follow(variable, -1, scale), above = Follow(variable, 1, scale);
     if (above.agrees && below.other) return OneSided::Side::kAbove;
     if (below.agrees && above.other) return OneSided::Side::kBelow;
@@ -110,8 +110,8 @@ class Sides {
 
 }  // namespace
 
-std::vector<OneSided> OneSidedAtOnce(const Contact& contact, const Scene& scene, const std::vector<OneSided>& known,
-                                     const StopRequest& stop) {
+std::vector<OneSided> OneSidedBySimultaneousEvents(const Contact& contact, const Scene& scene,
+                                                   const std::vector<OneSided>& known, const StopRequest& stop) {
   std::vector<OneSided> found;
   SingleShooting shooting(MakeSimulator(contact, scene, Precision::kDouble), SingleShooting::Variables::kInitialState);
   shooting.set_stop(stop);
@@ -145,7 +145,8 @@ std::vector<OneSided> OneSidedAtOnce(const Contact& contact, const Scene& scene,
     });
     if (is_known) continue;
     const bool position = entry.quantity == OneSided::Quantity::kPosition;
-    const std::optional<OneSided::Side> side = sides.Of(static_cast<int>(i), position ? by_position : by_velocity);
+    const std::optional<OneSided::Side> side =
+        sides.FindSide(static_cast<int>(i), position ? by_position : by_velocity);
     if (shooting.stopped()) return found;
     if (!side) continue;
     found.push_back(entry);

@@ -1,4 +1,4 @@
-#include "saltus/control/own_term.h"
+#include "saltus/control/user_term.h"
 
 #include <algorithm>
 #include <array>
@@ -7,12 +7,12 @@
 #include <limits>
 #include <numeric>
 
-#include "control/own_term_cost.h"
+#include "control/user_term_cost.h"
 
 namespace saltus {
 namespace {
 
-std::vector<int> BlocksOf(const OwnTerm& term) {
+std::vector<int> BlocksOf(const UserTerm& term) {
   std::vector<int> sizes(term.states.size(), 4);
   sizes.insert(sizes.end(), term.forces.size() + term.rotations.size(), 2);
   sizes.insert(sizes.end(), term.torques.size(), 1);
@@ -28,7 +28,7 @@ std::string ListOf(const std::vector<int>& sizes) {
 
 }  // namespace
 
-std::string WhatIsWrongWith(const OwnTerm& term, const Scene& scene) {
+std::string Validate(const UserTerm& term, const Scene& scene) {
   const auto wrong = [&](const std::string& what) { return term.name + ": " + what; };
   if (term.function == nullptr) return wrong("found no function");
   if (!(term.scale > 0) || !std::isfinite(term.scale)) return wrong("expected a scale above zero");
@@ -51,16 +51,16 @@ std::string WhatIsWrongWith(const OwnTerm& term, const Scene& scene) {
     }
     return std::string();
   };
-  const bool end = term.at == OwnTerm::At::kEnd;
+  const bool end = term.at == UserTerm::Timing::kEnd;
   std::vector<int> spinning;
   for (int body = 0; body < scene.num_bodies(); ++body) {
     if (scene.bodies[body].Spins()) spinning.push_back(body);
   }
   for (const std::string& found :
        {other(term.forces, scene.control.bodies, "force on", "is controlled"),
-        other(term.torques, scene.control.turned, "torque on", "has a torque control"),
+        other(term.torques, scene.control.torque_bodies, "torque on", "has a torque control"),
         end ? other(term.rotations, spinning, "rotation of", "spins")
-            : other(term.rotations, scene.control.turned, "rotation in each step of", "has a torque control")}) {
+            : other(term.rotations, scene.control.torque_bodies, "rotation in each step of", "has a torque control")}) {
     if (!found.empty()) return found;
   }
   if (end && !term.forces.empty()) return wrong("found a force at the final time, expected forces of steps");
@@ -75,11 +75,11 @@ std::string WhatIsWrongWith(const OwnTerm& term, const Scene& scene) {
   return "";
 }
 
-OwnTermCost::OwnTermCost(const OwnTerm& term, const Scene& scene)
+UserTermCost::UserTermCost(const UserTerm& term, const Scene& scene)
     : term_(term), units_(scene.units), to_si_(scene.units, {}) {
   *mutable_parameter_block_sizes() = BlocksOf(term);
   set_num_residuals(term.function->num_residuals());
-  row_factor_ = term.role == OwnTerm::Role::kCost ? std::sqrt(UnitFactors({}, scene.units).loss) : 1 / term.scale;
+  row_factor_ = term.role == UserTerm::Role::kCost ? std::sqrt(UnitFactors({}, scene.units).loss) : 1 / term.scale;
   const auto add = [&](size_t count, const std::vector<double>& factors) {
     to_si_of_.insert(to_si_of_.end(), count, factors);
   };
@@ -92,7 +92,7 @@ OwnTermCost::OwnTermCost(const OwnTerm& term, const Scene& scene)
   for (const int body : term.torques) add(1, {to_si_.force * to_si_.length * scene.bodies[body].radius});
 }
 
-bool OwnTermCost::Evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
+bool UserTermCost::Evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
   // The blocks of the user's function, in SI units.
   std::vector<std::vector<double>> blocks;
   std::size_t at = 0;
@@ -130,11 +130,11 @@ bool OwnTermCost::Evaluate(double const* const* parameters, double* residuals, d
   return true;
 }
 
-OwnValues EvaluateOwnTerms(const std::vector<OwnTerm>& terms, const Scene& scene, const Flight& flight,
-                           std::span<const double> control, std::span<const double> durations) {
-  OwnValues sum;
-  for (const OwnTerm& term : terms) {
-    const OwnTermCost cost(term, scene);
+UserTermValues EvaluateUserTerms(const std::vector<UserTerm>& terms, const Scene& scene, const Flight& flight,
+                                 std::span<const double> control, std::span<const double> durations) {
+  UserTermValues sum;
+  for (const UserTerm& term : terms) {
+    const UserTermCost cost(term, scene);
     std::vector<double> residuals(cost.num_residuals());
     const auto add = [&](const DiscStates& x, const double* row, double length) {
       std::deque<std::array<double, 4>> numbers;  // of states and rotations; a deque does not move its entries
@@ -153,7 +153,7 @@ OwnValues EvaluateOwnTerms(const std::vector<OwnTerm>& terms, const Scene& scene
         blocks.push_back(numbers.back().data());
       }
       for (const int body : term.torques) {
-        blocks.push_back(row + 2 * scene.num_controlled() + place_in(scene.control.turned, body));
+        blocks.push_back(row + 2 * scene.num_controlled() + place_in(scene.control.torque_bodies, body));
       }
       if (term.with_length) blocks.push_back(&length);
       if (!cost.Evaluate(blocks.data(), residuals.data(), nullptr)) {
@@ -161,15 +161,15 @@ OwnValues EvaluateOwnTerms(const std::vector<OwnTerm>& terms, const Scene& scene
         return;
       }
       for (const double r : residuals) {
-        if (term.role == OwnTerm::Role::kCost) {
+        if (term.role == UserTerm::Role::kCost) {
           sum.cost += r * r;
           continue;
         }
-        const double violation = term.role == OwnTerm::Role::kEquality ? std::abs(r) : r;
+        const double violation = term.role == UserTerm::Role::kEquality ? std::abs(r) : r;
         if (violation > sum.violation) sum = {sum.cost, violation, term.name};
       }
     };
-    if (term.at == OwnTerm::At::kEnd) {
+    if (term.at == UserTerm::Timing::kEnd) {
       add(flight.end(), nullptr, std::accumulate(durations.begin(), durations.end(), 0.0));
       continue;
     }

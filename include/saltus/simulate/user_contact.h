@@ -1,7 +1,7 @@
 // User-defined contact models, for every function that takes a Contact.
 //
 //   #include "my_model.h"
-//   saltus::Solve("gd", {.scene = scene, .contact = saltus::OwnContact<MyModel>()}, {});
+//   saltus::Solve("gd", {.scene = scene, .contact = saltus::UserContact<MyModel>()}, {});
 //
 // contact/contact_model.h lists the members of a model.
 #pragma once
@@ -21,7 +21,7 @@ namespace saltus {
 namespace internal {
 
 template <ContactModel M>
-std::string WhyModelNotApplicable(const Scene& scene) {
+std::string ReasonModelNotApplicable(const Scene& scene) {
   if (!M::kTraits.friction && HasFriction(scene)) return "this model knows no friction";
   if (!M::kTraits.by_pair && !scene.materials.empty()) {
     return "the scene has materials: this model has one restitution and one friction for all contacts";
@@ -36,10 +36,10 @@ std::string WhyModelNotApplicable(const Scene& scene) {
     return "discs fall into pockets: this model has no time at which they do";
   }
   if (scene.Spins()) {
-    if constexpr (requires { typename M::Spinning; }) return WhyModelNotApplicable<typename M::Spinning>(scene);
+    if constexpr (requires { typename M::Spinning; }) return ReasonModelNotApplicable<typename M::Spinning>(scene);
     if constexpr (M::kRotation != kSpin) return "discs that spin: this model does not turn them";
   }
-  if constexpr (requires { M::WhyNot(scene); }) return M::WhyNot(scene);
+  if constexpr (requires { M::ReasonNotApplicable(scene); }) return M::ReasonNotApplicable(scene);
   return "";
 }
 
@@ -88,23 +88,23 @@ template <ContactModel M>
 ContactEntry MakeContactEntry() {
   return {M::kTraits,
           internal::ListOptions<M>(),
-          &internal::WhyModelNotApplicable<M>,
+          &internal::ReasonModelNotApplicable<M>,
           [](const Scene& scene, Precision precision, std::span<const OptionValue> options) {
             return internal::MakeSimulatorWithOptions<M>(scene, precision, options);
           }};
 }
 
-// Makes a contact of a model with the defaults of its options; Contact::With() sets them. The registry may have another
-// model of the same name.
+// Makes a contact of a model with the defaults of its options; Contact::WithOption() sets them. The registry may have
+// another model of the same name.
 template <ContactModel M>
-Contact OwnContact() {
+Contact UserContact() {
   static const auto entry = std::make_shared<const ContactEntry>(MakeContactEntry<M>());
   return Contact(entry);
 }
 // Makes a contact of a model with the current values of its members. In scenes with discs that spin, M::Spinning is
 // used with the defaults of its members.
 template <ContactModel M>
-Contact OwnContact(M model) {
+Contact UserContact(M model) {
   ContactEntry entry = MakeContactEntry<M>();
   entry.make = [model = std::move(model)](
                    const Scene& scene, Precision precision, std::span<const OptionValue> options) {

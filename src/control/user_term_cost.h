@@ -7,23 +7,23 @@
 #include <string>
 #include <vector>
 
-#include "saltus/control/own_term.h"
+#include "saltus/control/user_term.h"
 #include "scene/units.h"
 #include "simulate/flight.h"
 
 namespace saltus {
 
-// Blocks: as OwnTerm's, in the scene's units, rotations and torques as [r angle, r w] and torque / r of a disc with the
-// radius r. Residuals: costs whose squares are in units of the loss, or constraints in parts of their scale.
-class OwnTermCost final : public ceres::CostFunction {
+// Blocks: as UserTerm's, in the scene's units, rotations and torques as [r angle, r w] and torque / r of a disc with
+// the radius r. Residuals: costs whose squares are in units of the loss, or constraints in parts of their scale.
+class UserTermCost final : public ceres::CostFunction {
  public:
   // `term` is valid, and must outlive this object.
-  OwnTermCost(const OwnTerm& term, const Scene& scene);
+  UserTermCost(const UserTerm& term, const Scene& scene);
 
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
 
  private:
-  const OwnTerm& term_;
+  const UserTerm& term_;
   Units units_;
   UnitFactors to_si_;
   double row_factor_;
@@ -32,11 +32,11 @@ class OwnTermCost final : public ceres::CostFunction {
 
 // Values on a motion in the scene's units: the sum of squares of costs, and the largest violation of a constraint,
 // relative to its scale; infinite where a function fails. `control` has a row for each of `durations`.
-struct OwnValues {
+struct UserTermValues {
   double cost = 0, violation = 0;
   std::string worst;  // the name of the constraint that is violated most
 };
-OwnValues EvaluateOwnTerms(const std::vector<OwnTerm>& terms, const Scene& scene, const Flight& flight,
-                           std::span<const double> control, std::span<const double> durations);
+UserTermValues EvaluateUserTerms(const std::vector<UserTerm>& terms, const Scene& scene, const Flight& flight,
+                                 std::span<const double> control, std::span<const double> durations);
 
 }  // namespace saltus

@@ -1,4 +1,4 @@
-#include "control/way_costs.h"
+#include "control/path_costs.h"
 
 #include <algorithm>
 #include <cmath>
@@ -30,9 +30,9 @@ struct Row {
   bool scales = true;      // the time of the row scales with the final time
 };
 
-class ExactWayCosts final : public WayCosts {
+class ExactPathCosts final : public PathCosts {
  public:
-  explicit ExactWayCosts(const Simulator& simulator) : num_steps_(simulator.num_steps()) {
+  explicit ExactPathCosts(const Simulator& simulator) : num_steps_(simulator.num_steps()) {
     const Objective& objective = simulator.scene().objective;
     num_residuals_ = NumTerminalResiduals(objective) + 2 * static_cast<int>(objective.via.size()) +
                      kRowsOfStep * num_steps_ * static_cast<int>(objective.running.size());
@@ -41,7 +41,7 @@ class ExactWayCosts final : public WayCosts {
   std::string Update(const Simulator& simulator, std::span<const double> initial,
                      std::span<const double> control) override {
     scene_ = simulator.scene();
-    if (const std::string beyond = BeyondPlainDiscs(scene_); !beyond.empty()) {
+    if (const std::string beyond = NonBallisticFeatures(scene_); !beyond.empty()) {
       return "the scene has " + beyond + "; running and waypoint costs are integrated between impacts on planes";
     }
     ExactRun run;
@@ -64,8 +64,8 @@ class ExactWayCosts final : public WayCosts {
   double Loss() const override { return RunningLoss(scene_, *flight_); }
 
   void Gradient(std::span<double> control, std::span<double> initial, double* duration) const override {
-    const CostateSweep::Result found =
-        sweep_->Sweep({}, [&](int k, const ImpactJump& jump, double gain) { return sweep_->Late(k, jump, gain); });
+    const CostateSweep::Result found = sweep_->Sweep(
+        {}, [&](int k, const ImpactJump& jump, double gain) { return sweep_->LateMultiplier(k, jump, gain); });
     std::fill(control.begin(), control.end(), 0.0);
     for (size_t i = 0; i < sweep_->segments().size() && !control.empty(); ++i) {
       sweep_->AddByControl(sweep_->segments()[i].interval, found.push[i], found.turn[i], control);
@@ -129,7 +129,7 @@ class ExactWayCosts final : public WayCosts {
     }
   }
 
-  Vec2d At(int segment, double offset, int body, Quantity quantity) const {
+  Vec2d QuantityAt(int segment, double offset, int body, Quantity quantity) const {
     const Flight::Piece& piece = sweep_->segments()[segment];
     const Vec2d v = piece.at_start.v[body] + offset * piece.acceleration[body];
     if (quantity == Quantity::kVelocity) return v;
@@ -167,7 +167,7 @@ class ExactWayCosts final : public WayCosts {
               .scale = std::sqrt(term.weight),
               .scales = false};
       row.offset = sweep_->segments()[row.segment].duration;
-      both_axes(row, At(row.segment, row.offset, term.body, term.quantity) - term.target, Vec2d(0, 0), on_row);
+      both_axes(row, QuantityAt(row.segment, row.offset, term.body, term.quantity) - term.target, Vec2d(0, 0), on_row);
     }
     for (const RunningTerm& term : scene_.objective.running) {
       for (int first = 0, step = 0; step < num_steps_; ++step) {
@@ -189,7 +189,7 @@ class ExactWayCosts final : public WayCosts {
             const Vec2d rate =
                 (TargetAt(term, t + step_of_time) - TargetAt(term, t - step_of_time)) / (2 * step_of_time);
             both_axes(row,
-                      At(i, s, term.body, term.quantity) - TargetAt(term, t),
+                      QuantityAt(i, s, term.body, term.quantity) - TargetAt(term, t),
                       rate * (t / scene_.duration),
                       [&](const Row& one) {
                         rows.push_back(one);
@@ -214,9 +214,9 @@ class ExactWayCosts final : public WayCosts {
 };
 
 // Path costs on the states after the model's steps.
-class SteppedWayCosts final : public WayCosts {
+class SteppedPathCosts final : public PathCosts {
  public:
-  explicit SteppedWayCosts(const Simulator& simulator) : scene_(simulator.scene()), num_steps_(simulator.num_steps()) {
+  explicit SteppedPathCosts(const Simulator& simulator) : scene_(simulator.scene()), num_steps_(simulator.num_steps()) {
     const double h = simulator.step();
     for (const TerminalTerm& term : scene_.objective.terminal) {
       AddRows(num_steps_, 0, term, term.target, std::sqrt(term.weight));
@@ -348,13 +348,13 @@ class SteppedWayCosts final : public WayCosts {
 
 }  // namespace
 
-std::unique_ptr<WayCosts> WayCosts::Make(const Simulator& simulator) {
+std::unique_ptr<PathCosts> PathCosts::Make(const Simulator& simulator) {
   const Objective& objective = simulator.scene().objective;
   if (objective.running.empty() && objective.via.empty() && !objective.duration) return nullptr;
   if (simulator.traits().event_driven && simulator.precision() == Precision::kDouble) {
-    return std::make_unique<ExactWayCosts>(simulator);
+    return std::make_unique<ExactPathCosts>(simulator);
   }
-  return std::make_unique<SteppedWayCosts>(simulator);
+  return std::make_unique<SteppedPathCosts>(simulator);
 }
 
 }  // namespace saltus

@@ -12,17 +12,17 @@
 namespace saltus {
 
 // The answers that a simulator offers besides final states.
-struct Offer {
+struct ServerCapabilities {
   bool gradient = true, step = true, states = true;
 };
 
-class Speaker {
+class ProtocolServer {
  public:
   // Precondition: there is a model of that name.
-  Speaker(const Contact& contact, Precision precision, const Offer& offer);
+  ProtocolServer(const Contact& contact, Precision precision, const ServerCapabilities& offer);
 
   // Returns the line that answers a line, without its end; for an invalid line it is an "error".
-  std::string AnswerTo(const std::string& line);
+  std::string ComputeAnswer(const std::string& line);
 
  private:
   ProtocolJson Greet(const ProtocolJson& scene);
@@ -35,7 +35,7 @@ class Speaker {
 
   Contact contact_;
   Precision precision_;
-  Offer offer_;
+  ServerCapabilities offer_;
   int grid_steps_;
   std::optional<Scene> scene_;
   std::pair<int, double> simulated_;  // steps and duration of

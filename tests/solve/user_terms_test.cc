@@ -7,7 +7,7 @@
 #include <array>
 #include <cmath>
 
-#include "control/own_term_cost.h"
+#include "control/user_term_cost.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"
@@ -24,7 +24,7 @@ Scene Problem() {
   return scene;
 }
 
-SolveReport SolveWith(const Scene& scene, std::vector<OwnTerm> terms, const char* solver = "ceres_phases") {
+SolveReport SolveWith(const Scene& scene, std::vector<UserTerm> terms, const char* solver = "ceres_phases") {
   return Solve(
       solver, {.scene = scene, .contact = "event", .terms = std::move(terms)}, {.limits = {.iterations = 300}});
 }
@@ -37,8 +37,8 @@ struct FinalMiss {
     return true;
   }
 };
-OwnTerm FinalPosition(int body, OwnTerm::Role role, double scale) {
-  OwnTerm term{.name = "aim", .at = OwnTerm::At::kEnd, .role = role, .states = {body}};
+UserTerm FinalPosition(int body, UserTerm::Role role, double scale) {
+  UserTerm term{.name = "aim", .at = UserTerm::Timing::kEnd, .role = role, .states = {body}};
   term.function = std::make_shared<ceres::AutoDiffCostFunction<FinalMiss, 2, 4>>(new FinalMiss{scale});
   return term;
 }
@@ -77,7 +77,7 @@ struct RotationMiss {
 TEST(OwnTerms, SeeRotationsAndTorques) {
   Scene scene = Problem();
   for (Body& body : scene.bodies) body.inertia.kind = Inertia::Kind::kSolid;
-  scene.control.turned = {0};
+  scene.control.torque_bodies = {0};
   scene.control.initial_torque = {0};
   Scene with = scene;
   with.objective.terminal.push_back(
@@ -88,12 +88,12 @@ TEST(OwnTerms, SeeRotationsAndTorques) {
   const SolveReport known = SolveWith(with, {});
   ASSERT_EQ(known.termination, Termination::kConverged) << known.reason;
 
-  OwnTerm rotation{.name = "rotation", .at = OwnTerm::At::kEnd, .rotations = {0}};
+  UserTerm rotation{.name = "rotation", .at = UserTerm::Timing::kEnd, .rotations = {0}};
   rotation.function = std::make_shared<ceres::AutoDiffCostFunction<RotationMiss, 2, 2>>(new RotationMiss);
-  OwnTerm torque{.name = "torque", .at = OwnTerm::At::kEachStep, .torques = {0}, .with_length = true};
+  UserTerm torque{.name = "torque", .at = UserTerm::Timing::kEachStep, .torques = {0}, .with_length = true};
   torque.function = std::make_shared<ceres::AutoDiffCostFunction<TorqueEffort, 1, 1, 1>>(
       new TorqueEffort{0.5 * scene.objective.effort});
-  OwnTerm effort{.name = "effort", .at = OwnTerm::At::kEachStep, .forces = {0}, .with_length = true};
+  UserTerm effort{.name = "effort", .at = UserTerm::Timing::kEachStep, .forces = {0}, .with_length = true};
   effort.function =
       std::make_shared<ceres::AutoDiffCostFunction<Effort, 2, 2, 1>>(new Effort{0.5 * scene.objective.effort});
   const SolveReport own = SolveWith(scene, {rotation, torque, effort});
@@ -104,7 +104,7 @@ TEST(OwnTerms, SeeRotationsAndTorques) {
     EXPECT_NEAR(own.solution.control[i], known.solution.control[i], 1e-4);
   }
 
-  rotation.at = OwnTerm::At::kEachStep;
+  rotation.at = UserTerm::Timing::kEachStep;
   rotation.rotations = {1};
   EXPECT_THAT(SolveWith(scene, {rotation}).reason, HasSubstr("rotation in each step of disc 1"));
   torque.torques = {1};
@@ -118,10 +118,10 @@ TEST(OwnTerms, CostsThatAScenesOwnWouldBe) {
   const SolveReport known = SolveWith(with, {});
 
   const Scene without = Problem();
-  OwnTerm effort{.at = OwnTerm::At::kEachStep, .forces = {0}, .with_length = true};
+  UserTerm effort{.at = UserTerm::Timing::kEachStep, .forces = {0}, .with_length = true};
   effort.function =
       std::make_shared<ceres::AutoDiffCostFunction<Effort, 2, 2, 1>>(new Effort{0.5 * without.objective.effort});
-  const SolveReport own = SolveWith(without, {FinalPosition(1, OwnTerm::Role::kCost, std::sqrt(2.5)), effort});
+  const SolveReport own = SolveWith(without, {FinalPosition(1, UserTerm::Role::kCost, std::sqrt(2.5)), effort});
   ASSERT_EQ(known.termination, Termination::kConverged) << known.reason;
   ASSERT_EQ(own.termination, Termination::kConverged) << own.reason;
   EXPECT_NEAR(own.guess.loss, known.guess.loss, 1e-12);
@@ -135,7 +135,7 @@ TEST(OwnTerms, AnEqualityIsAHardTerm) {
   Scene with = Problem();
   with.objective.terminal.push_back({.body = 1, .target = Vec2d(0.3, 0.3), .hard = true});
   const SolveReport known = SolveWith(with, {});
-  const SolveReport own = SolveWith(Problem(), {FinalPosition(1, OwnTerm::Role::kEquality, 1)});
+  const SolveReport own = SolveWith(Problem(), {FinalPosition(1, UserTerm::Role::kEquality, 1)});
   ASSERT_EQ(known.termination, Termination::kConverged) << known.reason;
   ASSERT_EQ(own.termination, Termination::kConverged) << own.reason;
   EXPECT_NEAR(own.solution.loss, known.solution.loss, 1e-7 * known.solution.loss);
@@ -162,7 +162,7 @@ TEST(OwnTerms, AnInequalityIsABound) {
   Scene with = without;
   with.control.max_norm = {kMost};
   const SolveReport known = SolveWith(with, {});
-  OwnTerm bound{.name = "ball", .at = OwnTerm::At::kEachStep, .role = OwnTerm::Role::kInequality, .forces = {0}};
+  UserTerm bound{.name = "ball", .at = UserTerm::Timing::kEachStep, .role = UserTerm::Role::kInequality, .forces = {0}};
   bound.function = std::make_shared<ceres::AutoDiffCostFunction<Ball, 1, 2>>(new Ball{kMost});
   const SolveReport own = SolveWith(without, {bound});
   ASSERT_EQ(known.termination, Termination::kConverged) << known.reason;
@@ -175,7 +175,7 @@ TEST(OwnTerms, AnInequalityIsABound) {
 }
 
 TEST(OwnTerms, UnitsAreThoseOfTheScene) {
-  const SolveReport one = SolveWith(Problem(), {FinalPosition(1, OwnTerm::Role::kCost, 1)});
+  const SolveReport one = SolveWith(Problem(), {FinalPosition(1, UserTerm::Role::kCost, 1)});
   // All lengths times 1024, and the loss with their squares.
   Scene large = Problem();
   for (Body& body : large.bodies) {
@@ -184,7 +184,7 @@ TEST(OwnTerms, UnitsAreThoseOfTheScene) {
     body.radius *= 1024;
   }
   for (Vec2d& force : large.control.initial) force *= 1024;
-  OwnTerm term{.at = OwnTerm::At::kEnd, .states = {1}};
+  UserTerm term{.at = UserTerm::Timing::kEnd, .states = {1}};
   term.function = std::make_shared<ceres::AutoDiffCostFunction<FinalMiss, 2, 4>>(new FinalMiss{1, 0.3 * 1024});
   const SolveReport other = SolveWith(large, {term});
   ASSERT_EQ(one.termination, Termination::kConverged) << one.reason;
@@ -208,13 +208,13 @@ TEST(OwnTerms, HaveTheirDerivativesInEveryUnit) {
   Scene scene;
   scene.units = units;
   scene.bodies.resize(2);
-  OwnTerm term{.role = OwnTerm::Role::kEquality, .states = {0, 1}, .forces = {0}, .with_length = true, .scale = 0.25};
+  UserTerm term{.role = UserTerm::Role::kEquality, .states = {0, 1}, .forces = {0}, .with_length = true, .scale = 0.25};
   term.function = std::make_shared<ceres::AutoDiffCostFunction<Mixed, 2, 4, 4, 2, 1>>(new Mixed);
   const std::array<double, 4> x{0.3, -0.7, 1.1, 0.6}, y{-0.2, 0.9, -1.3, 0.4};
   const std::array<double, 2> u{0.8, -1.7};
   constexpr double kLength = 0.9;
 
-  for (const OwnTerm::At at : {OwnTerm::At::kEachStep, OwnTerm::At::kEnd}) {
+  for (const UserTerm::Timing at : {UserTerm::Timing::kEachStep, UserTerm::Timing::kEnd}) {
     term.at = at;
     const double length = 0.5 * kLength;
     const auto in_si = [](const std::array<double, 4>& z) {
@@ -225,7 +225,7 @@ TEST(OwnTerms, HaveTheirDerivativesInEveryUnit) {
     std::array<double, 2> expected;
     Mixed()(x_si.data(), y_si.data(), u_si.data(), &length, expected.data());
 
-    const OwnTermCost cost(term, scene);
+    const UserTermCost cost(term, scene);
     const std::vector<const double*> blocks{x.data(), y.data(), u.data(), &kLength};
     std::array<double, 2> residuals;
     ASSERT_TRUE(cost.Evaluate(blocks.data(), residuals.data(), nullptr));
@@ -236,12 +236,12 @@ TEST(OwnTerms, HaveTheirDerivativesInEveryUnit) {
   }
 
   // A cost's square is a loss.
-  term.role = OwnTerm::Role::kCost;
+  term.role = UserTerm::Role::kCost;
   std::array<double, 2> constraint, residuals;
   const std::vector<const double*> blocks{x.data(), y.data(), u.data(), &kLength};
-  ASSERT_TRUE(OwnTermCost(term, scene).Evaluate(blocks.data(), residuals.data(), nullptr));
-  term.role = OwnTerm::Role::kEquality;
-  ASSERT_TRUE(OwnTermCost(term, scene).Evaluate(blocks.data(), constraint.data(), nullptr));
+  ASSERT_TRUE(UserTermCost(term, scene).Evaluate(blocks.data(), residuals.data(), nullptr));
+  term.role = UserTerm::Role::kEquality;
+  ASSERT_TRUE(UserTermCost(term, scene).Evaluate(blocks.data(), constraint.data(), nullptr));
   for (int r = 0; r < 2; ++r) {
     EXPECT_NEAR(
         residuals[r] * residuals[r], std::pow(0.25 * constraint[r], 2) / 32, 1e-12 * residuals[r] * residuals[r]);
@@ -257,7 +257,7 @@ struct Nowhere {
 };
 
 TEST(OwnTerms, AConstraintOutOfReachIsSaid) {
-  OwnTerm term{.name = "nowhere", .at = OwnTerm::At::kEnd, .role = OwnTerm::Role::kEquality, .states = {1}};
+  UserTerm term{.name = "nowhere", .at = UserTerm::Timing::kEnd, .role = UserTerm::Role::kEquality, .states = {1}};
   term.function = std::make_shared<ceres::AutoDiffCostFunction<Nowhere, 1, 4>>(new Nowhere);
   const SolveReport report = SolveWith(Problem(), {term});
   EXPECT_NE(report.termination, Termination::kConverged);
@@ -266,12 +266,12 @@ TEST(OwnTerms, AConstraintOutOfReachIsSaid) {
 
 TEST(OwnTerms, WrongOnesAreRefusedByName) {
   const Scene scene = Problem();
-  const auto reason_of = [&](OwnTerm term, const char* solver = "ceres_phases") {
+  const auto reason_of = [&](UserTerm term, const char* solver = "ceres_phases") {
     const SolveReport report = SolveWith(scene, {std::move(term)}, solver);
     EXPECT_EQ(report.termination, Termination::kNotApplicable);
     return report.reason;
   };
-  OwnTerm term = FinalPosition(1, OwnTerm::Role::kCost, 1);
+  UserTerm term = FinalPosition(1, UserTerm::Role::kCost, 1);
   EXPECT_THAT(reason_of(term, "gd"), HasSubstr("ceres_phases"));
   term.states = {2};
   EXPECT_THAT(reason_of(term), HasSubstr("aim: found the state of disc 2, expected 0 to 1"));

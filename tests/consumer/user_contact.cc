@@ -1,6 +1,6 @@
 // A user's own contact model, solved and audited by an installed saltus. Without damping and friction it is the
 // library's compliant_warp: exit code 0 if both do the same.
-#include "saltus/simulate/own_contact.h"
+#include "saltus/simulate/user_contact.h"
 
 #include <cmath>
 #include <iostream>
@@ -23,7 +23,7 @@ int main(int argc, char** argv) {
   auto scene = std::get<saltus::Scene>(loaded);
   scene.contact.damping = scene.contact.friction = 0;
 
-  const saltus::Contact own = saltus::OwnContact<OwnModel>();
+  const saltus::Contact own = saltus::UserContact<OwnModel>();
   const auto solve = [&](const saltus::Contact& contact) {
     return saltus::Solve("ceres_lbfgs", {.scene = scene, .contact = contact}, {.limits = {.iterations = 20}});
   };
@@ -33,7 +33,7 @@ int main(int argc, char** argv) {
   const bool same_loss = mine.solution.loss < mine.guess.loss && mine.contact == "own_model" &&
                          std::abs(mine.solution.loss - theirs.solution.loss) < 1e-9 * theirs.solution.loss;
 
-  const auto exact = saltus::ExactGradientOf(scene);
+  const auto exact = saltus::ComputeExactGradient(scene);
   const auto audit = [&](const saltus::Contact& contact) {
     return saltus::AuditModel(contact, scene, saltus::Precision::kDouble, exact);
   };

@@ -58,7 +58,7 @@ Json ReadObject(const std::string& path) {
 }
 
 // Reads into how many intervals the control is cut, from the model of the gradient.
-void ReadContact(const Json& contact, const GradientReader& reader, const Scene& scene, GivenGradient* given) {
+void ReadContact(const Json& contact, const GradientReader& reader, const Scene& scene, ExternalGradient* given) {
   if (!contact.is_string()) reader.Fail("contact", "a string");
   given->name = contact.get<std::string>();
   const ModelTraits* traits = FindContactModel(given->name);
@@ -66,14 +66,15 @@ void ReadContact(const Json& contact, const GradientReader& reader, const Scene&
 }
 
 // Reads intervals of [x, y] or, of discs that are turned, [x, y, torque].
-void ReadControl(const Json& list, const GradientReader& reader, const Scene& scene, GivenGradient* given) {
+void ReadControl(const Json& list, const GradientReader& reader, const Scene& scene, ExternalGradient* given) {
   const int intervals = given->intervals > 0 ? given->intervals : scene.steps;
   const size_t discs = scene.num_controlled(), most = discs > 0 ? intervals : 0;
   if (!list.is_array() || list.size() > most) {
     reader.Fail("control", "a list of at most " + std::to_string(most) + " intervals");
   }
   std::vector<char> turns;
-  for (const int body : scene.control.bodies) turns.push_back(std::ranges::count(scene.control.turned, body) > 0);
+  for (const int body : scene.control.bodies)
+    turns.push_back(std::ranges::count(scene.control.torque_bodies, body) > 0);
   for (size_t k = 0; k < list.size(); ++k) {
     const std::string key = "control[" + std::to_string(k) + "]";
     const std::vector<double> row = reader.Vectors(list[k], key, discs, ControlColumns(scene), turns);
@@ -81,7 +82,7 @@ void ReadControl(const Json& list, const GradientReader& reader, const Scene& sc
   }
 }
 
-void ReadGradient(const Json& document, const GradientReader& reader, const Scene& scene, GivenGradient* given) {
+void ReadGradient(const Json& document, const GradientReader& reader, const Scene& scene, ExternalGradient* given) {
   if (const auto intervals = document.find("intervals"); intervals != document.end()) {
     const int64_t count = intervals->is_number_integer() ? intervals->get<int64_t>() : 0;
     if (count < 1 || count > scene.steps || scene.steps % count != 0) {
@@ -116,7 +117,7 @@ void ReadGradient(const Json& document, const GradientReader& reader, const Scen
 }
 
 // Whether there is a number that can be compared with the exact gradient: one of a disc that moves.
-bool HasNumber(const GivenGradient& given, const Scene& scene) {
+bool HasNumber(const ExternalGradient& given, const Scene& scene) {
   for (const std::vector<double>& numbers : {given.position, given.velocity}) {
     for (size_t i = 0; i < numbers.size(); ++i) {
       if (!std::isnan(numbers[i]) && !scene.bodies[i / 2].fixed) return true;
@@ -132,10 +133,10 @@ bool HasNumber(const GivenGradient& given, const Scene& scene) {
 
 }  // namespace
 
-GivenGradient ReadGivenGradient(const std::string& path, const Scene& scene) {
+ExternalGradient ReadExternalGradient(const std::string& path, const Scene& scene) {
   const GradientReader reader(path);
   const Json document = ReadObject(path);
-  GivenGradient given;
+  ExternalGradient given;
   given.name = path;
   if (document.contains("audits") || document.contains("audit") || document.contains("runs")) {
     throw InputError(path + ": a whole document of results; expected one gradient, such as its audits[0]");

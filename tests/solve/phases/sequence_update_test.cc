@@ -1,5 +1,5 @@
 // Solvers along a sequence of impacts that is not that of an optimum: what it is mended to, and what is said of it.
-#include "solve/phases/sequence_mending.h"
+#include "solve/phases/sequence_update.h"
 
 #include <gmock/gmock.h>
 
@@ -306,13 +306,13 @@ class PlainRun {
   bool IsPossible(const Plan&) const { return true; }
   double MeritOf(const Motion& motion) const { return motion.exact.loss; }
   double ViolationOf(const Motion&) const { return 0; }
-  Motion WithinBounds(const Motion& motion) const { return motion; }
+  Motion ClampToBounds(const Motion& motion) const { return motion; }
   void MoveWithin(Motion*) const {}
   void Simulate(Motion*) const {}
   void BlendStart(const Motion&, const Motion&, double, Motion*) const {}
   int control_width() const { return 1; }
   int num_steps() const { return 100; }
-  std::string WhyNoDerivative(const Motion&) const { return ""; }
+  std::string ReasonNoDerivative(const Motion&) const { return ""; }
   // The cuts are at equal distances.
   void PlanAlong(const std::vector<Event>& sequence, const Motion&, Plan* plan, std::vector<double>* times) const {
     plan->cuts.assign(sequence.begin(), sequence.end());
@@ -332,13 +332,13 @@ class PlainRun {
     return certificate;
   }
   size_t DirectionSize(const Motion&) const { return 1; }
-  std::vector<Motion> StepAside(const Motion&, const std::vector<double>&) const { return {}; }
+  std::vector<Motion> SearchBothSides(const Motion&, const std::vector<double>&) const { return {}; }
   std::string NameOf(const std::vector<Event>&) const { return ""; }
   std::string NameOf(const Plan&) const { return ""; }
   std::string NamesOf(const std::vector<Plan>&) const { return ""; }
   std::string KinksOf(const Plan&) const { return ""; }
   std::string DescribeMiss(const Motion&) const { return ""; }
-  std::string WhyNotRealized(const Motion&, const std::vector<Event>&) const { return "it is not realized"; }
+  std::string ReasonNotRealized(const Motion&, const std::vector<Event>&) const { return "it is not realized"; }
   SolveReport Finish(const Motion&, double loss, Termination termination, const std::string& reason) const {
     SolveReport report;
     report.solution.loss = loss;
@@ -371,7 +371,7 @@ PlainAttempt OptimumAlong(const PlainRun::Plan& plan, const PlanStartOf<PlainMot
 std::vector<PlainRun::Plan> PlansAfterAGrazeAtTheEndOf(const std::vector<int>& events) {
   PlainRun run(MotionWith(3, events));
   std::vector<PlainRun::Plan> plans;
-  SolveMending<PlainRun>(&run, [&](const auto& plan, const auto& start, const auto&) {
+  SolveWithSequenceUpdates<PlainRun>(&run, [&](const auto& plan, const auto& start, const auto&) {
     plans.push_back(plan);
     if (plans.size() > 1) return PlainAttempt();
     PlainAttempt attempt = OptimumAlong(plan, start, 2);
@@ -403,7 +403,7 @@ int AttemptsWithoutOptimum(bool one_of_many) {
   PlainRun run(MotionWith(1, {1}));
   run.one_of_many = one_of_many;
   int attempts = 0;
-  SolveMending<PlainRun>(&run, [&](const auto& plan, const auto& start, const auto&) {
+  SolveWithSequenceUpdates<PlainRun>(&run, [&](const auto& plan, const auto& start, const auto&) {
     PlainAttempt attempt = OptimumAlong(plan, start, 0);
     attempt.converged = attempt.realized = false;
     std::vector<int> events = plan.Sequence();
@@ -424,16 +424,18 @@ TEST(SequenceUpdate, LeavesAPlanWhosePhaseDoesNotComeBack) {
   PlainRun run(MotionWith(3, {1, 2}));
   int iterations = 0;
   std::vector<PlainRun::Plan> plans;
-  SolveMending<PlainRun>(&run, [&](const auto& plan, const auto& start, const MayGoOn& may_go_on) {
-    plans.push_back(plan);
-    PlainAttempt attempt = OptimumAlong(plan, start, 2);
-    if (plans.size() > 1) return attempt;
-    attempt.times = {0.5, 0.5 + 1e-6, 1};
-    attempt.converged = attempt.realized = false;
-    attempt.trial = MotionWith(INFINITY, {1, 2});
-    while (iterations < 400 && may_go_on(attempt.times, attempt.speeds)) ++iterations;
-    return attempt;
-  });
+  SolveWithSequenceUpdates<PlainRun>(&run,
+                                     [&](const auto& plan, const auto& start, const ContinuePredicate& may_go_on) {
+                                       plans.push_back(plan);
+                                       PlainAttempt attempt = OptimumAlong(plan, start, 2);
+                                       if (plans.size() > 1) return attempt;
+                                       attempt.times = {0.5, 0.5 + 1e-6, 1};
+                                       attempt.converged = attempt.realized = false;
+                                       attempt.trial = MotionWith(INFINITY, {1, 2});
+                                       while (iterations < 400 && may_go_on(attempt.times, attempt.speeds))
+                                         ++iterations;
+                                       return attempt;
+                                     });
   EXPECT_EQ(iterations, mending::kMostVanished);
   ASSERT_GE(plans.size(), 2u);
   EXPECT_THAT(plans[1].Sequence(), testing::ElementsAre(2, 1));
@@ -443,7 +445,7 @@ TEST(SequenceUpdate, LeavesAPlanWhosePhaseDoesNotComeBack) {
 SolveReport WhereTheOptimumIsWorse(double stationary_loss) {
   PlainRun run(MotionWith(1, {1}));
   run.stationary_loss = stationary_loss;
-  return SolveMending<PlainRun>(
+  return SolveWithSequenceUpdates<PlainRun>(
       &run, [&](const auto& plan, const auto& start, const auto&) { return OptimumAlong(plan, start, 2); });
 }
 
@@ -457,14 +459,15 @@ TEST(SequenceUpdate, TakesTheBestMotionIfItIsStationary) {
 TEST(SequenceUpdate, NamesTheBetterPlanThatIsNoMotion) {
   PlainRun run(MotionWith(3, {1, 2}));
   int attempts = 0;
-  const SolveReport report = SolveMending<PlainRun>(&run, [&](const auto& plan, const auto& start, const auto&) {
-    PlainAttempt attempt = OptimumAlong(plan, start, 2.0 - 0.1 * ++attempts);
-    attempt.converged = attempts == 1;
-    attempt.realized = attempts > 1;
-    attempt.planned_loss = 1;
-    if (attempts == 1) attempt.trial.exact.contacts = {1};
-    return attempt;
-  });
+  const SolveReport report =
+      SolveWithSequenceUpdates<PlainRun>(&run, [&](const auto& plan, const auto& start, const auto&) {
+        PlainAttempt attempt = OptimumAlong(plan, start, 2.0 - 0.1 * ++attempts);
+        attempt.converged = attempts == 1;
+        attempt.realized = attempts > 1;
+        attempt.planned_loss = 1;
+        if (attempts == 1) attempt.trial.exact.contacts = {1};
+        return attempt;
+      });
   EXPECT_GE(attempts, 2);
   EXPECT_EQ(report.termination, Termination::kNoProgress);
   EXPECT_THAT(report.reason, HasSubstr("lower is the loss of a plan, but it is not realized"));
@@ -474,7 +477,7 @@ TEST(SequenceUpdate, SaysThatTheLastSolveHasNotConverged) {
   PlainRun run(MotionWith(3, {1, 2}));
   bool converges = false;
   const auto solve = [&] {
-    return SolveMending<PlainRun>(&run, [&](const auto& plan, const auto& start, const auto&) {
+    return SolveWithSequenceUpdates<PlainRun>(&run, [&](const auto& plan, const auto& start, const auto&) {
       PlainAttempt attempt = OptimumAlong(plan, start, 4);
       attempt.converged = converges;
       attempt.realized = false;

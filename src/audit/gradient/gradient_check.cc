@@ -48,9 +48,9 @@ double ScaleOf(const SceneParameter& parameter, const Scene& scene, double lengt
 
 }  // namespace
 
-OwnDifferences CompareWithOwnDifferences(const Contact& contact, const Scene& scene, const StopRequest& stop,
-                                         int threads, int most_states) {
-  if (!WhyNotApplicable(contact, scene).empty()) return {};
+GradientCheck CheckGradient(const Contact& contact, const Scene& scene, const StopRequest& stop, int threads,
+                            int most_states) {
+  if (!ReasonNotApplicable(contact, scene).empty()) return {};
   struct Loss {
     std::unique_ptr<SingleShooting> shooting;
     std::optional<LossAtGuess> at_guess;
@@ -77,7 +77,7 @@ std::unique_ptr<SingleShooting> ShootingBy(Quantity quantity, const Contact& con
   Scene controlled = scene;
   if (control) controlled.optimize = Optimize::kControl;
   auto shooting = std::make_unique<SingleShooting>(MakeSimulator(contact, controlled, Precision::kDouble),
-                                                   control ? Variables::kOfScene : Variables::kInitialState);
+                                                   control ? Variables::kOptimized : Variables::kInitialState);
   shooting->set_stop(stop);
   return shooting;
 }
@@ -99,7 +99,7 @@ std::vector<SweptVariable> VariablesOf(const Scene& scene, double length, int st
       variable.count = steps;
       variable.stride = width;
       const int turned = i - 2 * scene.num_controlled();
-      const Body& body = scene.bodies[turned < 0 ? scene.control.bodies[i / 2] : scene.control.turned[turned]];
+      const Body& body = scene.bodies[turned < 0 ? scene.control.bodies[i / 2] : scene.control.torque_bodies[turned]];
       const double mass = turned < 0 ? body.mass : body.MomentOfInertia() / (body.radius * body.radius);  // of the rim
       variable.grid_width = 2 * length * mass / (T * T);
     }
@@ -137,12 +137,12 @@ std::vector<ParameterAudit> CompareParameters(const Contact& contact, const Scen
       if (!std::ranges::count(designed.design, DesignParameter{parameter})) designed.design.push_back({parameter});
     }
   }
-  if (designed.design.empty() || !WhyNotApplicable(contact, designed).empty()) return audits;
+  if (designed.design.empty() || !ReasonNotApplicable(contact, designed).empty()) return audits;
   const auto of_scene = [&](const Scene& other) {
-    return WhyNotApplicable(contact, other).empty() ? MakeSimulator(contact, other, Precision::kDouble) : nullptr;
+    return ReasonNotApplicable(contact, other).empty() ? MakeSimulator(contact, other, Precision::kDouble) : nullptr;
   };
   SingleShooting shooting(
-      MakeSimulator(contact, designed, Precision::kDouble), SingleShooting::Variables::kOfScene, of_scene);
+      MakeSimulator(contact, designed, Precision::kDouble), SingleShooting::Variables::kOptimized, of_scene);
   shooting.set_stop(stop);
   const LossAtGuess loss(&shooting);
   const std::size_t count = designed.design.size();
@@ -152,7 +152,7 @@ std::vector<ParameterAudit> CompareParameters(const Contact& contact, const Scen
     const SceneParameter& parameter = designed.design[i].parameter;
     std::vector<double> along(count, 0.0);
     along[i] = 1;
-    const OwnDifferences found = CompareAlong(loss, along, kWidest * ScaleOf(parameter, scene, length));
+    const GradientCheck found = CompareAlong(loss, along, kWidest * ScaleOf(parameter, scene, length));
     ParameterAudit audit{NameOf(parameter, scene), found.gradient, std::nullopt};
     if (found.agreement != Agreement::kUndecided) audit.difference = found.difference;
     if (found.gradient == 0 && audit.difference.value_or(0) == 0) continue;

@@ -1,4 +1,4 @@
-#include "blackbox/speaker.h"
+#include "blackbox/protocol_server.h"
 
 #include <glog/logging.h>
 
@@ -38,7 +38,7 @@ std::vector<double> StateAt(const Simulator& simulator, int k) {
 }
 
 // Returns the derivatives of the last rollout by parameters of the scene, by name.
-ProtocolJson ByParameters(Simulator* simulator, const std::vector<double>& cotangent) {
+ProtocolJson ParameterDerivativesToJson(Simulator* simulator, const std::vector<double>& cotangent) {
   Sensitivity gradient;
   simulator->Adjoint(cotangent, /*with_parameters=*/true, &gradient);
   const ParameterGradient& by = gradient.parameters;
@@ -48,7 +48,7 @@ ProtocolJson ByParameters(Simulator* simulator, const std::vector<double>& cotan
   for (const int pair : PairsInUse(scene)) {
     for (const auto kind : {SceneParameter::Kind::kRestitution, SceneParameter::Kind::kFriction}) {
       const SceneParameter parameter{kind, -1, pair};
-      named[NameOf(parameter, scene)] = ByContact(parameter, by);
+      named[NameOf(parameter, scene)] = ContactDerivative(parameter, by);
     }
   }
   for (int i = 0; i < scene.num_bodies(); ++i) {
@@ -62,13 +62,13 @@ ProtocolJson Wrong(const std::string& why) { return {{"error", why}}; }
 
 }  // namespace
 
-Speaker::Speaker(const Contact& contact, Precision precision, const Offer& offer)
+ProtocolServer::ProtocolServer(const Contact& contact, Precision precision, const ServerCapabilities& offer)
     : contact_(contact),
       precision_(precision),
       offer_(offer),
       grid_steps_(CHECK_NOTNULL(FindContactModel(contact))->grid_steps) {}
 
-std::string Speaker::AnswerTo(const std::string& line) {
+std::string ProtocolServer::ComputeAnswer(const std::string& line) {
   const ProtocolJson request = ProtocolJson::parse(line, nullptr, /*allow_exceptions=*/false);
   if (!request.is_object()) return Wrong("found " + Excerpt(line) + ", expected a JSON object").dump();
   ProtocolJson answer = ProtocolJson::object();
@@ -93,7 +93,7 @@ std::string Speaker::AnswerTo(const std::string& line) {
   return answer.dump();
 }
 
-ProtocolJson Speaker::Greet(const ProtocolJson& scene) {
+ProtocolJson ProtocolServer::Greet(const ProtocolJson& scene) {
   std::variant<Scene, SceneFileError> read = ParseScene(scene.dump(), "scene");
   if (const auto* error = std::get_if<SceneFileError>(&read)) return Wrong(error->ToString());
   scene_ = std::get<Scene>(std::move(read));
@@ -105,24 +105,24 @@ ProtocolJson Speaker::Greet(const ProtocolJson& scene) {
   if (grid_steps_ > 1) greeting["grid_steps"] = grid_steps_;
   Scene asked = *scene_;
   asked.steps = grid_steps_;  // each question has its own
-  if (const std::string why = WhyNotApplicable(contact_, asked); !why.empty()) greeting["not_applicable"] = why;
+  if (const std::string why = ReasonNotApplicable(contact_, asked); !why.empty()) greeting["not_applicable"] = why;
   if (asked.Spins()) greeting["not_applicable"] = "discs that spin: the protocol has no angles";
   return greeting;
 }
 
-Simulator& Speaker::SimulatorOf(int steps, double duration) {
+Simulator& ProtocolServer::SimulatorOf(int steps, double duration) {
   if (simulator_ != nullptr && simulated_ == std::pair(steps, duration)) return *simulator_;
   Scene scene = *scene_;
   scene.steps = steps;
   scene.duration = duration;
-  if (const std::string why = WhyNotApplicable(contact_, scene); !why.empty()) throw ProtocolError(why);
+  if (const std::string why = ReasonNotApplicable(contact_, scene); !why.empty()) throw ProtocolError(why);
   if (scene.Spins()) throw ProtocolError("discs that spin: the protocol has no angles");
   simulator_ = MakeSimulator(contact_, scene, precision_);
   simulated_ = {steps, duration};
   return *simulator_;
 }
 
-std::vector<double> Speaker::OwnControl(const ProtocolJson& question, int steps) const {
+std::vector<double> ProtocolServer::OwnControl(const ProtocolJson& question, int steps) const {
   const std::size_t width = scene_->control_width();
   if (width == 0) return {};
   const auto rows = question.find("control");
@@ -136,7 +136,7 @@ std::vector<double> Speaker::OwnControl(const ProtocolJson& question, int steps)
   return own;
 }
 
-ProtocolJson Speaker::Simulate(const ProtocolJson& question, bool with_gradient) {
+ProtocolJson ProtocolServer::Simulate(const ProtocolJson& question, bool with_gradient) {
   const double asked = Number(question, "steps");
   if (asked != std::floor(asked) || asked > kMaxSteps) throw ProtocolError("expected a whole number of \"steps\"");
   const int steps = static_cast<int>(asked);
@@ -144,7 +144,7 @@ ProtocolJson Speaker::Simulate(const ProtocolJson& question, bool with_gradient)
   const std::size_t discs = simulator.num_bodies();
   const std::vector<double> initial = NumbersAt(question, "initial", {discs, kNumbers});
   const std::vector<double> control = OwnControl(question, steps);
-  if (!simulator.Rollout(initial, control)) throw ProtocolError(simulator.WhyFailed());
+  if (!simulator.Rollout(initial, control)) throw ProtocolError(simulator.FailureReason());
   const int K = simulator.num_steps();
   ProtocolJson answer = {{"final", RowsToJson(StateAt(simulator, K), kNumbers)}};
   if (!with_gradient && offer_.states && question.value("states", true)) {
@@ -154,10 +154,10 @@ ProtocolJson Speaker::Simulate(const ProtocolJson& question, bool with_gradient)
   }
   if (!with_gradient) return answer;
 
-  const std::vector<double> of_final = NumbersAt(question, "of_final", {discs, kNumbers});
+  const std::vector<double> final_cotangent = NumbersAt(question, "of_final", {discs, kNumbers});
   std::vector<double> cotangent(simulator.state_size(), 0.0);
-  for (std::size_t i = 0; i < of_final.size(); ++i) {
-    cotangent[i / kNumbers * simulator.body_size() + i % kNumbers] = of_final[i];
+  for (std::size_t i = 0; i < final_cotangent.size(); ++i) {
+    cotangent[i / kNumbers * simulator.body_size() + i % kNumbers] = final_cotangent[i];
   }
   Sensitivity gradient;
   simulator.Adjoint(cotangent, /*with_parameters=*/false, &gradient);
@@ -168,11 +168,11 @@ ProtocolJson Speaker::Simulate(const ProtocolJson& question, bool with_gradient)
   }
   answer["initial"] = RowsToJson(gradient.initial, kNumbers);
   answer["control"] = ControlRowsToJson(by_control, scene_->num_controlled());
-  if (question.value("parameters", false)) answer["parameters"] = ByParameters(&simulator, cotangent);
+  if (question.value("parameters", false)) answer["parameters"] = ParameterDerivativesToJson(&simulator, cotangent);
   return answer;
 }
 
-ProtocolJson Speaker::TakeStep(const ProtocolJson& question) {
+ProtocolJson ProtocolServer::TakeStep(const ProtocolJson& question) {
   const Simulator& simulator = SimulatorOf(grid_steps_, Number(question, "h"));
   const std::size_t discs = simulator.num_bodies();
   const std::vector<double> initial = NumbersAt(question, "state", {discs, kNumbers});

@@ -1,5 +1,5 @@
 // Tasks worked off by several threads: what is drawn and looked at, in which order, and that no thread waits in vain.
-#include "solve/search/task_line.h"
+#include "solve/search/task_queue.h"
 
 #include <gtest/gtest.h>
 
@@ -16,7 +16,7 @@ namespace {
 std::string Log(int threads) {
   std::string log;
   int drawn = 0, looked = 0, sum = 0;
-  TaskLine<int, int> line;
+  TaskQueue<int, int> line;
   line.draw = [&]() -> std::optional<int> {
     if (drawn == 200 || (looked > 50 && looked < 55)) return std::nullopt;  // a while in which there is nothing
     const int task = 31 * drawn++ + sum % 7;
@@ -34,27 +34,27 @@ std::string Log(int threads) {
     log += "l" + std::to_string(task) + "=" + std::to_string(found) + " ";
   };
   line.ahead = [](const int& task) { return task % 17 == 0 ? 25 : 0; };
-  line.WorkOff(threads);
+  line.RunAll(threads);
   EXPECT_EQ(drawn, 200);
   EXPECT_EQ(looked, 200);
   return log;
 }
 
-TEST(TaskLine, TheNumberOfThreadsChangesNothing) {
+TEST(TaskQueue, TheNumberOfThreadsChangesNothing) {
   const std::string one = Log(1);
   EXPECT_EQ(Log(2), one);
   EXPECT_EQ(Log(5), one);
 }
 
-TEST(TaskLine, LooksInOrderButAtLongOnesLater) {
+TEST(TaskQueue, LooksInOrderButAtLongOnesLater) {
   std::vector<int> looked;
-  TaskLine<int, int> line;
+  TaskQueue<int, int> line;
   int drawn = 0;
   line.draw = [&]() -> std::optional<int> { return drawn < 40 ? std::optional(drawn++) : std::nullopt; };
   line.solve = [](const int& task) { return task; };
   line.look = [&](const int& task, int) { looked.push_back(task); };
   line.ahead = [](const int& task) { return task == 3 ? 20 : 0; };
-  line.WorkOff(3);
+  line.RunAll(3);
   std::vector<int> expected(40);
   std::iota(expected.begin(), expected.end(), 0);
   expected.erase(expected.begin() + 3);
@@ -63,11 +63,11 @@ TEST(TaskLine, LooksInOrderButAtLongOnesLater) {
 }
 
 // A long task that ends only when twenty others have: in batches, or in order, nobody would ever begin these.
-TEST(TaskLine, OthersGoOnBesideALongOne) {
+TEST(TaskQueue, OthersGoOnBesideALongOne) {
   std::atomic<int> solved{0};
   std::promise<void> enough;
   int drawn = 0;
-  TaskLine<int, int> line;
+  TaskQueue<int, int> line;
   line.draw = [&]() -> std::optional<int> { return drawn < 40 ? std::optional(drawn++) : std::nullopt; };
   line.solve = [&](const int& task) {
     if (task == 0) {
@@ -79,27 +79,27 @@ TEST(TaskLine, OthersGoOnBesideALongOne) {
   };
   line.look = [](const int&, int) {};
   line.ahead = [](const int& task) { return task == 0 ? 30 : 0; };
-  line.WorkOff(2);
+  line.RunAll(2);
   EXPECT_EQ(solved, 39);
 }
 
-TEST(TaskLine, NothingToDo) {
-  TaskLine<int, int> line;
+TEST(TaskQueue, NothingToDo) {
+  TaskQueue<int, int> line;
   line.draw = []() -> std::optional<int> { return std::nullopt; };
   line.solve = [](const int& task) { return task; };
   line.look = [](const int&, int) { ADD_FAILURE(); };
-  line.WorkOff(1);
-  line.WorkOff(4);
+  line.RunAll(1);
+  line.RunAll(4);
 }
 
-TEST(TaskLine, WhatATaskThrowsComesOut) {
+TEST(TaskQueue, WhatATaskThrowsComesOut) {
   for (const int threads : {1, 3}) {
-    TaskLine<int, int> line;
+    TaskQueue<int, int> line;
     int drawn = 0, looked = 0;
     line.draw = [&]() -> std::optional<int> { return drawn < 40 ? std::optional(drawn++) : std::nullopt; };
     line.solve = [](const int& task) { return task == 11 ? throw std::bad_alloc() : task; };
     line.look = [&](const int&, int) { ++looked; };
-    EXPECT_THROW(line.WorkOff(threads), std::bad_alloc);
+    EXPECT_THROW(line.RunAll(threads), std::bad_alloc);
     EXPECT_EQ(looked, 11);
   }
 }
