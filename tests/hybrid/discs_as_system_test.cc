@@ -215,14 +215,18 @@ TEST_P(SceneAsHybridProblem, KnowsWherePairsComeNearestInAStep) {
       const auto slope = [&](double* number) { return (4 * difference(number, 1e-4) - difference(number, 2e-4)) / 3; };
       for (int i = 0; i < n; ++i) {
         const bool moves = i >= 4 * scene.num_bodies() || i % 4 < 2 || !scene.bodies[i / 4].fixed;
-        if (moves) EXPECT_NEAR(gradient[i], slope(&point.x[i]), 1e-6) << i;
+        if (moves) {
+          EXPECT_NEAR(gradient[i], slope(&point.x[i]), 1e-6) << i;
+        }
       }
       for (int i = 0; i < m; ++i) EXPECT_NEAR(gradient[n + 1 + i], slope(&point.u[i]), 1e-6) << i;
       EXPECT_NEAR(gradient[n], slope(&step.t), 1e-6);
       EXPECT_NEAR(gradient[n + 1 + m], slope(&step.h), 1e-6);
     }
   }
-  if (scene.num_bodies() > 1) EXPECT_GT(inside, 0);
+  if (scene.num_bodies() > 1) {
+    EXPECT_GT(inside, 0);
+  }
 }
 
 // An event is one of discs that approach each other. In its regime an impact slips or sticks whatever Coulomb's law
@@ -279,7 +283,9 @@ TEST_P(SceneAsHybridProblem, KnowsWhatItsEventsRequire) {
       }
     }
   }
-  if (scene.contact.friction > 0) EXPECT_GT(slips + sticks, 10);
+  if (scene.contact.friction > 0) {
+    EXPECT_GT(slips + sticks, 10);
+  }
 }
 
 INSTANTIATE_TEST_SUITE_P(
