@@ -1,4 +1,4 @@
-// Terms of a user's own in the units of a solver.
+// User-defined terms in the units of a solver.
 #pragma once
 
 #include <ceres/cost_function.h>

@@ -146,16 +146,17 @@ class HybridFunctions {
   }
 
   // Finds the least value of a guard within a step, its ends included, and sets its derivative by [x t p u h] unless
-  // `gradient` is null. Of several parts, the state has those of the guard, and zeros. Returns false if there is none
-  // that is finite.
+  // `gradient` is null. Where the system has several parts, only those that the guard reads are set in the state; the
+  // others are zero. Returns false if no finite value is found.
   virtual bool LeastGuard(const FlowStep& step, int guard, double* value, double* gradient) const;
 
-  // The inequalities, rows <= 0, without which a zero of a guard is no event: of discs that they do not separate.
+  // Returns the number of inequalities, rows <= 0, that hold at an event in addition to its guard being zero. An impact
+  // of discs has one: they do not separate.
   virtual int num_event_rows(int /*mode*/, int /*guard*/) const { return 0; }
-  // Computes them before the reset and, unless `jacobian` is null, their derivatives by [x t p], a row each.
+  // Computes these rows before the reset and, unless `jacobian` is null, their derivatives by [x t p], a row each.
   virtual void EventRows(const ModePoint& /*at*/, int /*guard*/, double* /*rows*/, double* /*jacobian*/) const {}
-  // Returns a system with the same modes whose events are all in one regime, with an inequality of each event that says
-  // so: of discs, whose regimes are ContactMode, that they slip or stick. Null if there is none.
+  // Returns a system with the same modes whose events are all in one regime, which one more row of each event states as
+  // an inequality. Regimes of discs are those of ContactMode, slip and stick. Null if the system has no regimes.
   virtual std::shared_ptr<const HybridFunctions> RegimeOf(int /*regime*/) const { return nullptr; }
 
   // Whether bounds of the functions are known.

@@ -18,8 +18,8 @@
 
 namespace saltus {
 
-// The sequence is mended on the way (sequence_update.h). Converged means: the gradient has vanished, gaps are closed,
-// and in exact dynamics the control has the impacts of the sequence and no others. Precondition:
+// An active-set update changes the sequence (sequence_update.h). Converged means: the gradient has vanished, gaps are
+// closed, and in exact dynamics the control has the impacts of the sequence and no others. Precondition:
 // UnsupportedByEventPhases is empty.
 SolveReport SolveByCeresEvent(const SolveRequest& request, const SolverOptions& options);
 

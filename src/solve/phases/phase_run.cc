@@ -276,8 +276,8 @@ PhaseRun::Transcriber::Transcriber(const PhaseRun& run, const PhasePlan& plan, c
   phases_.emplace(scene_, run.terms(), plan, WaypointsOf(run.scene()), apart_);
 }
 
-// In natural units, a force that matters costs far less than the misses that it mends. The target of a region is the
-// nearest of its points. Limits remain constraints.
+// In natural units, a force that matters costs far less than the violations that it removes. The target of a region is
+// the nearest of its points. Limits remain constraints.
 void PhaseRun::Transcriber::AimAtConstraints(const Trial& start) {
   constexpr double kEffort = 1e-6;
   Objective only;
