@@ -433,11 +433,7 @@ class SceneModel final : public FitModel {
 
   Scene SceneAt(const std::vector<double>& values) const {
     Scene at = scene_;
-    for (const bool angles : {true, false}) {  // a wall is rotated before it is moved along its normal
-      for (std::size_t u = 0; u < unknowns_.size(); ++u) {
-        if (IsAngle(unknowns_[u].kind) == angles) SetValue(unknowns_[u], values[u], &at);
-      }
-    }
+    SetValues(unknowns_, values, &at);
     return at;
   }
   // Return the learned law and events at these values, std::nullopt if none is learned.
@@ -535,6 +531,18 @@ IdentifyReport Identify(const Contact& contact, const Scene& scene, const std::v
                                      NaturalUnits(scene).length);
   for (std::size_t u = 0; u < report.estimates.size(); ++u) report.estimates[u].unknown = unknowns[u];
   return report;
+}
+
+Scene FittedScene(const Scene& scene, const std::vector<Estimate>& estimates) {
+  std::vector<Unknown> unknowns;
+  std::vector<double> values;
+  for (const Estimate& estimate : estimates) {
+    unknowns.push_back(estimate.unknown);
+    values.push_back(estimate.value);
+  }
+  Scene fitted = scene;
+  SetValues(unknowns, values, &fitted);
+  return fitted;
 }
 
 std::variant<std::vector<Unknown>, std::string> ParseUnknowns(std::string_view names, const Scene& scene) {

@@ -347,12 +347,14 @@ void AddFits(const Identified& identified, const Json& document, Page* page) {
       "Compared with `event`, whose motion and derivatives are exact: the bias is the value less that of `event`.");
 }
 
-// Draws samples as dots, and the motion of each fit as lines, which end where a segment does.
+// Draws samples as dots, the motion of each fit as lines, which end where a segment does, and the walls of the first
+// fit.
 void AddMotions(const Scene& scene, const Identified& identified, Page* page) {
-  Panel panel = ScenePanel(scene, "");
+  const std::vector<std::size_t> shown = ShownFits(identified);
+  Panel panel = ScenePanel(shown.empty() ? scene : FittedScene(scene, identified.reports[shown[0]].estimates), "");
   panel.circles.clear();
   const std::size_t recordings = std::min(identified.recordings.size(), kMostRecordings);
-  for (const std::size_t i : ShownFits(identified)) {
+  for (const std::size_t i : shown) {
     std::map<std::pair<int, int>, Series> paths;  // by recording and disc
     for (const SampleResidual& at : identified.reports[i].residuals) {
       if (static_cast<std::size_t>(at.recording) >= recordings) continue;
@@ -379,7 +381,8 @@ void AddMotions(const Scene& scene, const Identified& identified, Page* page) {
   const Figure figure{.panels = {panel}};
   page->AddFigure(figure,
                   "The samples, and the fitted motions" +
-                      std::string(identified.recordings.size() > recordings ? " of the first recordings." : "."));
+                      std::string(identified.recordings.size() > recordings ? " of the first recordings." : ".") +
+                      (shown.size() > 1 ? " Walls are those of `" + identified.contacts[shown[0]] + "`." : ""));
 }
 
 void AddResidualsAndOutliers(const Identified& identified, const Json& document, Page* page) {

@@ -273,6 +273,14 @@ void SetValue(const SceneParameter& parameter, double value, Scene* scene) {
   if (double* entry = MemberOf(parameter, scene)) *entry = value;
 }
 
+void SetValues(std::span<const SceneParameter> parameters, std::span<const double> values, Scene* scene) {
+  for (const bool angles : {true, false}) {
+    for (std::size_t i = 0; i < parameters.size(); ++i) {
+      if (IsAngle(parameters[i].kind) == angles) SetValue(parameters[i], values[i], scene);
+    }
+  }
+}
+
 ParameterRange RangeOf(const DesignParameter& design) {
   constexpr double kInfinity = std::numeric_limits<double>::infinity();
   ParameterRange range{-kInfinity, kInfinity};
@@ -312,16 +320,19 @@ Scene WithDesign(const Scene& scene, std::span<const double> values) {
   if (values.empty()) return scene;
   CHECK_EQ(values.size(), scene.design.size());
   Scene designed = scene;
-  for (const DesignParameter& design : scene.design) {
-    if (!IsAngle(design.parameter.kind)) MoveWall(design.parameter, -design.moved, &designed);
-  }
-  for (const bool angles : {true, false}) {
-    for (std::size_t i = 0; i < values.size(); ++i) {
-      const auto& [parameter, min, max, moved] = scene.design[i];
-      if (IsAngle(parameter.kind) == angles) SetValue(parameter, angles ? values[i] - moved : values[i], &designed);
-      if (IsOfWall(parameter.kind)) designed.design[i].moved = values[i];
+  std::vector<SceneParameter> parameters;
+  std::vector<double> changed(values.begin(), values.end());
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    const auto& [parameter, min, max, moved] = scene.design[i];
+    parameters.push_back(parameter);
+    if (IsAngle(parameter.kind)) {
+      changed[i] -= moved;
+    } else {
+      MoveWall(parameter, -moved, &designed);
     }
+    if (IsOfWall(parameter.kind)) designed.design[i].moved = values[i];
   }
+  SetValues(parameters, changed, &designed);
   return designed;
 }
 

@@ -228,6 +228,22 @@ TEST(Identify, FindsThePlacesOfWallsAndPosts) {
 }
 
 // Two restitutions from one recording: those of a ball with its floor and with walls of another material.
+// A floor is turned to the left by a right angle about its point, and then moved along its new normal.
+TEST(Identify, AFittedSceneHasWallsThatAreTurnedBeforeTheyAreMoved) {
+  Scene scene;
+  scene.planes = {{"floor", {2, 1}, {0, 1}}};
+  Estimate offset, angle;
+  offset.unknown = {Kind::kPlaneOffset, 0};
+  offset.value = 0.5;
+  angle.unknown = {Kind::kPlaneAngle, 0};
+  angle.value = std::acos(0.0);
+  for (const std::vector<Estimate>& estimates : {std::vector{offset, angle}, std::vector{angle, offset}}) {
+    const Plane floor = FittedScene(scene, estimates).planes[0];
+    EXPECT_NEAR((floor.normal - Vec2d(-1, 0)).norm(), 0, 1e-15);
+    EXPECT_NEAR((floor.point - Vec2d(1.5, 1)).norm(), 0, 1e-15);
+  }
+}
+
 TEST(Identify, FindsTheRestitutionOfEachPairOfMaterials) {
   GeneratedProblem problem;
   Scene& scene = problem.truth;

@@ -78,6 +78,36 @@ TEST(IdentifyProgram, TablesAndFilesSayTheSame) {
 }
 
 // Fits the data under models whose gradient is right, wrong, and without restitution.
+// The scene has the floor too low and tilted; the recording is of a floor at height 0. Its angle is fitted first, or
+// second, and a wall is always turned before it is moved.
+TEST(IdentifyProgram, ThePageDrawsWallsWhereTheFitPutsThem) {
+  const std::string text =
+      "name: low\nduration: 1.0\nsteps: 60\ngravity: [0, -9.81]\n"
+      "bodies:\n  - {name: ball, radius: 0.05, mass: 0.2, position: [0, 1]}\n"
+      "planes:\n  - {name: floor, point: [0, -0.1], normal: [0.1, 1]}\n"
+      "contact: {restitution: 0.8}\nobjective: {terminal: []}\noptimize: none\n";
+  for (const std::string unknown : {"offset.floor,angle.floor", "angle.floor,offset.floor"}) {
+    const Outcome outcome =
+        RunProgram("saltus_identify --progress=none --scene=" + TempFileWith("low.yaml", text) +
+                   " --unknown=" + unknown + " --recording=" + DropRecording() + " --output_dir=" + TempFile("low"));
+    ASSERT_EQ(outcome.exit_code, 0) << outcome.errors;
+    const std::string page = ContentsOf(TempFile("low") + "/report.html");
+    const std::size_t begin = page.find("{\"title\":"), end = page.find("</script>", begin);
+    const json document = json::parse(page.substr(begin, end - begin));
+    const json drawn = [&] {
+      for (const json& part : document["parts"]) {
+        if (part["kind"] == "figure" && !part["figure"]["panels"][0]["half_planes"].empty()) return part["figure"];
+      }
+      return json();
+    }();
+    ASSERT_FALSE(drawn.is_null());
+    const json floor = drawn["panels"][0]["half_planes"][0];
+    const double nx = floor["normal"][0], ny = floor["normal"][1], x = floor["point"][0], y = floor["point"][1];
+    EXPECT_NEAR(nx / std::hypot(nx, ny), 0, 2e-3);
+    EXPECT_NEAR((nx * x + ny * y) / std::hypot(nx, ny), 0, 1e-3) << "distance of the floor from (0, 0)";
+  }
+}
+
 TEST(IdentifyProgram, ComparesContactModelsWithTheExactOne) {
   const Outcome outcome = RunProgram("saltus_identify --json --contact=event,toi_velocity,position_qp" + DropScene() +
                                      "--recording=" + DropRecording());

@@ -162,4 +162,7 @@ struct IdentifyReport {
 IdentifyReport Identify(const Contact& contact, const Scene& scene, const std::vector<Recording>& recordings,
                         const std::vector<Unknown>& unknowns, const IdentifyOptions& options = {});
 
+// Returns the scene with the values of a fit, its walls where the fit puts them.
+Scene FittedScene(const Scene& scene, const std::vector<Estimate>& estimates);
+
 }  // namespace saltus

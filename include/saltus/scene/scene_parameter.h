@@ -45,6 +45,9 @@ double ValueOf(const SceneParameter& parameter, const Scene& scene);
 // Sets the value of a parameter; does nothing for a parameter of a law. Restitution or friction of a pair of materials
 // is written to Scene::pairs, with a new entry if needed.
 void SetValue(const SceneParameter& parameter, double value, Scene* scene);
+// Sets several parameters, in any order: walls are rotated before they are moved along their normal. Precondition: one
+// value at least for each parameter.
+void SetValues(std::span<const SceneParameter> parameters, std::span<const double> values, Scene* scene);
 
 // The range of a design parameter: its bounds, and the range of its kind (restitution from 0 to 1; mass, radius,
 // friction, stiffness and damping not negative). Infinite without a bound.
