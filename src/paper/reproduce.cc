@@ -209,9 +209,9 @@ std::string GivenOrShipped(const std::string& given, const std::string& folder) 
   return given.empty() ? ShippedFile(folder) : given;
 }
 
-int Reproduce(const std::vector<std::string>& arguments) {
+int Reproduce() {
   const auto start = std::chrono::steady_clock::now();
-  const std::vector<SimulatorCommand> simulators = ReadSimulators(arguments);
+  const std::vector<SimulatorCommand> simulators = ReadSimulators();
   if (!simulators.empty() && !FLAGS_all_formulations) {
     throw InputError("--simulate: simulators stand among all formulations; expected no --noall_formulations with it");
   }
@@ -292,9 +292,6 @@ int Reproduce(const std::vector<std::string>& arguments) {
 
 }  // namespace
 
-int ReproduceMain(int argc, char** argv) {
-  const std::vector<std::string> arguments(argv, argv + argc);
-  return RunMain(argc, argv, FindProgram("saltus_reproduce"), [&arguments] { return Reproduce(arguments); });
-}
+int ReproduceMain(int argc, char** argv) { return RunMain(argc, argv, FindProgram("saltus_reproduce"), Reproduce); }
 
 }  // namespace saltus

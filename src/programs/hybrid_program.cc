@@ -88,7 +88,7 @@ std::vector<std::string> ReadSolvers(const HybridProblem& problem) {
   return ReadNames("solver", FLAGS_solver, NameList(HybridSolvers()), "'all', 'none' or some of ");
 }
 
-void ReadHybridRequest(const std::vector<std::string>& arguments, HybridRequest* request) {
+void ReadHybridRequest(HybridRequest* request) {
   HybridProblem& problem = request->problem;
   ReadSet(&problem);
   if (FLAGS_steps < 0) throw InputError("--steps must be positive");
@@ -99,7 +99,7 @@ void ReadHybridRequest(const std::vector<std::string>& arguments, HybridRequest*
   request->solvers = ReadSolvers(problem);
   request->feedback = ReadFeedback(problem);
   request->options.monitor.stop = InterruptGuard::Interrupted;
-  const std::vector<SimulatorCommand> commands = ReadSimulators(arguments);
+  const std::vector<SimulatorCommand> commands = ReadSimulators();
   if (FLAGS_audit && commands.empty() && request->extras.scheme == nullptr) {
     throw InputError("--audit: the system has no scheme of its own, expected --simulate=COMMAND with it");
   }
@@ -241,7 +241,6 @@ int ExitCode(const HybridResults& results) {
 }  // namespace
 
 int RunHybridProgram(int argc, char** argv, const Program& program, const std::function<HybridTask()>& read) {
-  const std::vector<std::string> arguments(argv, argv + argc);
   return RunMain(argc, argv, program, [&] {
     const InterruptGuard guard;
     if (FLAGS_solver == "list") {
@@ -249,7 +248,7 @@ int RunHybridProgram(int argc, char** argv, const Program& program, const std::f
       return kDone;
     }
     HybridRequest request(read());
-    ReadHybridRequest(arguments, &request);
+    ReadHybridRequest(&request);
     const HybridResults results = Compute(request);
     DoAll({[&] { WritePage(request, results); },
            [&] {

@@ -154,11 +154,10 @@ void AddSections(const Request& request, const Results& results, Page* page) {
 }
 
 int RunSceneProgram(int argc, char** argv, const Program& program, const ProgramDefaults& defaults, Parts parts) {
-  const std::vector<std::string> arguments(argv, argv + argc);
   return RunMain(argc, argv, program, [&] {
     Request request;
     if (!ReadRequest(defaults, &request)) return kDone;
-    const std::vector<SimulatorCommand> simulators = ReadSimulators(arguments);
+    const std::vector<SimulatorCommand> simulators = ReadSimulators();
     // Simulators are audited alone unless contact models are asked for too.
     if (!simulators.empty() && !IsGiven("contact")) request.contacts.clear();
     if (!simulators.empty() && request.options.surrogate) {

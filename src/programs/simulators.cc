@@ -20,27 +20,20 @@ DEFINE_double(simulate_seconds, 30, "time, s, after which a simulator that does 
 namespace saltus {
 namespace {
 
-constexpr char kFlag[] = "simulate";
 constexpr std::size_t kMostListBytes = 1 << 20;
 
 bool IsOfName(char c) { return std::isalnum(static_cast<unsigned char>(c)) != 0 || c == '_' || c == '-' || c == '.'; }
 
-// The values of --simulate=X, -simulate=X and --simulate X.
-std::vector<std::string> ValuesIn(const std::vector<std::string>& arguments) {
-  std::vector<std::string> values;
-  for (std::size_t i = 0; i < arguments.size() && arguments[i] != "--"; ++i) {
-    const std::string& argument = arguments[i];
-    const std::size_t dashes = argument.starts_with("--") ? 2 : argument.starts_with("-") ? 1 : 0;
-    const std::size_t equals = std::min(argument.find('='), argument.size());
-    if (dashes == 0 || argument.substr(dashes, equals - dashes) != kFlag) continue;
-    if (equals < argument.size()) {
-      values.push_back(argument.substr(equals + 1));
-    } else if (i + 1 < arguments.size()) {
-      values.push_back(arguments[++i]);
-    }
-  }
+// Every value that --simulate was given. A flag of gflags has its last value only; its validator is told each.
+std::vector<std::string>& GivenValues() {
+  static std::vector<std::string>& values = *new std::vector<std::string>;
   return values;
 }
+bool AddGivenValue(const char*, const std::string& value) {
+  if (!value.empty()) GivenValues().push_back(value);  // empty is the default
+  return true;
+}
+DEFINE_validator(simulate, &AddGivenValue);
 
 std::vector<std::string> LinesOf(const std::string& path) {
   const StatusOr<std::string> text = ReadFile(path, kMostListBytes);
@@ -95,12 +88,10 @@ SimulatorCommand ParseSimulator(const std::string& text) {
 
 }  // namespace
 
-std::vector<SimulatorCommand> ReadSimulators(const std::vector<std::string>& arguments) {
+std::vector<SimulatorCommand> ReadSimulators() {
   if (!(FLAGS_simulate_seconds > 0) || !std::isfinite(FLAGS_simulate_seconds)) {
     throw InputError("--simulate_seconds must be positive");
   }
-  std::vector<std::string> values = ValuesIn(arguments);
-  if (values.empty() && IsGiven(kFlag)) values.push_back(FLAGS_simulate);
   std::vector<SimulatorCommand> simulators;
   const auto add = [&](const std::string& value) {
     SimulatorCommand simulator = ParseSimulator(value);
@@ -112,7 +103,7 @@ std::vector<SimulatorCommand> ReadSimulators(const std::vector<std::string>& arg
     }
     simulators.push_back(std::move(simulator));
   };
-  for (const std::string& value : values) {
+  for (const std::string& value : GivenValues()) {
     if (!value.starts_with("@")) {
       add(value);
       continue;

@@ -17,10 +17,9 @@ struct SimulatorCommand {
   std::string command;
 };
 
-// Every --simulate=[NAME=]COMMAND of a command line, where gflags keeps the last only, and the lines of every @FILE.
-// Without --simulate there, that of a flag file or of the environment. After gflags has read the flags. Throws
-// InputError.
-std::vector<SimulatorCommand> ReadSimulators(const std::vector<std::string>& arguments);
+// Every --simulate=[NAME=]COMMAND that was given, on the command line, in a flag file or in the environment, and the
+// lines of every @FILE. After gflags has read the flags. Throws InputError.
+std::vector<SimulatorCommand> ReadSimulators();
 
 // For programs to which a simulator is one more value of --contact: keeps them for the functions below, and returns
 // their names. To be called once.

@@ -179,8 +179,8 @@ int RunSweep(const SweepStudy& study) {
 }
 
 // Adds simulators; they are swept alone unless contact models are asked for too.
-void AddSimulators(const std::vector<std::string>& arguments, Request* request) {
-  const std::vector<std::string> names = KeepSimulators(ReadSimulators(arguments));
+void AddSimulators(Request* request) {
+  const std::vector<std::string> names = KeepSimulators(ReadSimulators());
   if (!names.empty() && !IsGiven("contact")) request->contacts.clear();
   request->contacts.insert(request->contacts.end(), names.begin(), names.end());
 }
@@ -212,7 +212,8 @@ void AskProgram() {
   KeepProgram(std::move(program));
 }
 
-int Run(const std::vector<std::string>& arguments) {
+int Run() {
+  const InterruptGuard guard;
   Request request;
   ProgramDefaults defaults;
   const auto generate = [&defaults](const std::string& name) {
@@ -228,18 +229,12 @@ int Run(const std::vector<std::string>& arguments) {
   if (SweepsSeeds(FLAGS_sweep)) generate("control_problems");
   if (!ReadRequest(defaults, &request)) return kDone;
   CheckFlags();
-  AddSimulators(arguments, &request);
+  AddSimulators(&request);
   return RunSweep(SweepStudy(request, ParseSweep(FLAGS_sweep, request.scene)));
 }
 
 }  // namespace
 
-int SweepMain(int argc, char** argv) {
-  const std::vector<std::string> arguments(argv, argv + argc);
-  return RunMain(argc, argv, FindProgram("saltus_sweep"), [&arguments] {
-    const InterruptGuard guard;
-    return Run(arguments);
-  });
-}
+int SweepMain(int argc, char** argv) { return RunMain(argc, argv, FindProgram("saltus_sweep"), Run); }
 
 }  // namespace saltus
