@@ -1,9 +1,5 @@
 #include "output/page.h"
 
-#include <glog/logging.h>
-
-#include <array>
-#include <charconv>
 #include <cmath>
 #include <string_view>
 
@@ -125,78 +121,6 @@ void Round(int significant_digits, Json* json) {
   }
   if (!json->is_structured()) return;
   for (Json& item : *json) Round(significant_digits, &item);
-}
-
-namespace {
-
-constexpr size_t kColumns = 120;
-constexpr size_t kIndent = 2;
-
-std::string Scalar(const Json& value, int significant_digits) {
-  if (!value.is_number_float() || !std::isfinite(value.get<double>())) {
-    return value.dump(-1, ' ', false, Json::error_handler_t::replace);
-  }
-  std::array<char, 40> buffer;
-  const auto [end, error] = std::to_chars(buffer.data(),
-                                          buffer.data() + buffer.size(),
-                                          value.get<double>(),
-                                          std::chars_format::general,
-                                          significant_digits);
-  CHECK(error == std::errc());
-  std::string text(buffer.data(), end);
-  if (text.find_first_of(".e") == std::string::npos) text += ".0";
-  return text;
-}
-
-// Returns "key": of an item of an object; empty for an item of an array.
-std::string Label(const Json& parent, Json::const_iterator item) {
-  return parent.is_object() ? Scalar(item.key(), kDoubleDigits) + ": " : "";
-}
-
-// Returns the value on one line; empty if it takes more than `room` columns.
-std::string OneLine(const Json& value, int significant_digits, size_t room) {
-  std::string text = value.is_object() ? "{" : value.is_array() ? "[" : Scalar(value, significant_digits);
-  for (auto item = value.begin(); value.is_structured() && item != value.end(); ++item) {
-    text += (item == value.begin() ? "" : ", ") + Label(value, item);
-    const std::string part = text.size() < room ? OneLine(*item, significant_digits, room - text.size()) : "";
-    if (part.empty()) return "";
-    text += part;
-  }
-  if (value.is_structured()) text += value.is_object() ? '}' : ']';
-  return text.size() <= room ? text : "";
-}
-
-// Returns a value that does not fit on one line, of which the first line is indented by `depth` levels. Entries of an
-// array that fit on one line share lines, as words in a paragraph, if they are numbers or short arrays.
-std::string Lines(const Json& value, int significant_digits, size_t depth) {
-  if (!value.is_structured() || value.empty()) return Scalar(value, significant_digits);
-  const std::string indent((depth + 1) * kIndent, ' ');
-  std::string text(1, value.is_object() ? '{' : '[');
-  size_t column = kColumns;
-  for (auto item = value.begin(); item != value.end(); ++item) {
-    if (item != value.begin()) text += ',';
-    const std::string label = Label(value, item);
-    const size_t used = indent.size() + label.size() + 1;  // with a comma
-    const std::string line = used < kColumns ? OneLine(*item, significant_digits, kColumns - used) : "";
-    const bool fills = value.is_array() && !line.empty() && !item->is_object();
-    if (fills && column + 2 + line.size() < kColumns) {
-      text += ' ';
-      column += 2 + line.size();
-    } else {
-      text += '\n' + indent + label;
-      column = fills ? indent.size() + line.size() : kColumns;
-    }
-    text += line.empty() ? Lines(*item, significant_digits, depth + 1) : line;
-  }
-  return text + '\n' + std::string(depth * kIndent, ' ') + (value.is_object() ? '}' : ']');
-}
-
-}  // namespace
-
-std::string DumpJson(const nlohmann::ordered_json& document, int significant_digits) {
-  CHECK(1 <= significant_digits && significant_digits <= kDoubleDigits) << significant_digits;
-  const std::string line = document.is_object() ? "" : OneLine(document, significant_digits, kColumns - 1);
-  return (line.empty() ? Lines(document, significant_digits, 0) : line) + "\n";
 }
 
 }  // namespace saltus

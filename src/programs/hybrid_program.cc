@@ -219,7 +219,7 @@ void WritePage(const HybridRequest& request, const HybridResults& results) {
     document["runs"][i]["motion"] = draw(SolutionOf(request.problem, results.reports[i]));
   }
   WriteTextFile(directory + "/report.html", HybridPage(std::move(document)).Render());
-  WriteTextFile(directory + "/result.json", results.document.dump(1) + "\n");
+  WriteTextFile(directory + "/result.json", JsonText(results.document));
 }
 
 int ExitCode(const HybridResults& results) {
@@ -253,7 +253,7 @@ int RunHybridProgram(int argc, char** argv, const Program& program, const std::f
     DoAll({[&] { WritePage(request, results); },
            [&] {
              if (request.json) {
-               PrintJson(results.document, Precision::kDouble);
+               PrintJson(results.document);
              } else {
                PrintTables(request, results);
              }

@@ -177,7 +177,7 @@ int IdentifyMain(int argc, char** argv) {
     FitAll(request, &identified);
     const Json document = IdentifiedToJson(request.scene, identified);
     const auto print = [&] {
-      if (request.json) return PrintJson(document, Precision::kDouble);
+      if (request.json) return PrintJson(document);
       PrintTables(request.scene, identified, document);
     };
     DoAll({[&] { WriteFiles(request.output_dir, request.scene, identified, document); },

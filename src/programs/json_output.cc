@@ -5,7 +5,6 @@
 #include <iostream>
 
 #include "control/surrogate_names.h"
-#include "output/page.h"
 #include "saltus/control/control_rows.h"
 #include "saltus/scene/materials.h"
 #include "saltus/scene/scene_parameter.h"
@@ -304,9 +303,11 @@ Json RemarksToJson(const Remarks& remarks) {
   return list;
 }
 
-void PrintJson(const Json& document, Precision precision) {
-  std::cout << DumpJson(document, precision == Precision::kFloat ? kFloatDigits : kDoubleDigits) << std::endl;
+std::string JsonText(const Json& document) {
+  return document.dump(1, ' ', /*ensure_ascii=*/false, Json::error_handler_t::replace) + "\n";
 }
+
+void PrintJson(const Json& document) { std::cout << JsonText(document) << std::flush; }
 
 std::string FileSuffix(const std::optional<Surrogate>& surrogate) {
   return surrogate ? "_" + std::string(SurrogateToString(surrogate->kind)) + "_biased" : "";

@@ -77,7 +77,9 @@ Table TableOf(const Json& parents, const std::string& list, const std::string& c
 // [{"kind", "text"}, ...]
 Json RemarksToJson(const Remarks& remarks);
 
-// Prints the document to stdout with 17 significant digits (9 in single precision).
-void PrintJson(const Json& document, Precision precision);
+// Returns the document as text, whose numbers are read back with the same bits: null in place of NaN and infinity,
+// which JSON does not have, and U+FFFD in place of bytes that are not UTF-8.
+std::string JsonText(const Json& document);
+void PrintJson(const Json& document);
 
 }  // namespace saltus

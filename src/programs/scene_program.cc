@@ -121,7 +121,7 @@ Json ToJson(const Request& request, const Results& results) {
 
 // States are most of a document: where there is no memory for them, the rest is printed.
 void PrintDocument(const Request& request, const Results& results) {
-  const auto print = [&](const Request& what) { PrintJson(ToJson(what, results), what.precision); };
+  const auto print = [&](const Request& what) { PrintJson(ToJson(what, results)); };
   try {
     return print(request);
   } catch (const std::bad_alloc&) {

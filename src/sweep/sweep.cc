@@ -113,7 +113,7 @@ void WriteResults(const SweepStudy& study, const std::vector<StoredPoint>& point
   DoAll({[&] { WriteFiles(study, points, table, base); },
          [&] {
            if (study.request().json) {
-             PrintJson(SweepJson(study, points), study.request().precision);
+             PrintJson(SweepJson(study, points));
            } else {
              std::cout << table.ToCsv() << std::flush;
            }

@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <limits>
 
 namespace saltus {
@@ -42,6 +43,16 @@ TEST(JsonOutput, VectorsAreListsAndMatricesListsOfRows) {
   EXPECT_EQ(Json(matrix), Json::parse("[[1.5], [2.5]]"));
   EXPECT_EQ(Json(Eigen::Vector2d(1.5, 2.5)), Json::parse("[1.5, 2.5]"));
 }
+
+TEST(JsonText, HasNumbersThatAreReadBackAsTheSameBits) {
+  for (int exponent = -300; exponent <= 300; ++exponent) {
+    const double value = std::sin(exponent + 0.5) * std::pow(10.0, exponent);
+    EXPECT_EQ(Json::parse(JsonText({{"x", value}}))["x"].get<double>(), value);
+  }
+  EXPECT_EQ(JsonText({1.0, -0.0, std::numeric_limits<double>::infinity()}), "[\n 1.0,\n -0.0,\n null\n]\n");
+}
+
+TEST(JsonText, HasAMarkForBytesThatAreNoText) { EXPECT_EQ(JsonText("bad \xff byte"), "\"bad \xEF\xBF\xBD byte\"\n"); }
 
 TEST(TableOf, MakesARowOfEachElement) {
   EXPECT_EQ(TableOf(kAudits, "/contacts", "step=first_step; width=widths[]; slope=slopes[]").ToCsv(),
