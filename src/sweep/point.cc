@@ -36,32 +36,27 @@ double PeakMemory() {
 // Returns the reason of a point that was stopped after so many seconds.
 std::string TimeLimitReason(double seconds) { return "stopped at the time limit of " + Cell(seconds).Exact() + " s"; }
 
-// Results of a point as a document, whose keys ResultColumn::path names.
+// Results of a point as a document, in which ResultColumn::place finds them.
 struct Found {
   PointStatus status = PointStatus::kComputed;
   Json document = Json::object();
 };
 
-// A column, and the path to its value in the document.
+// A column, and where the document has its value.
 struct ResultColumn {
   std::string name;
-  std::vector<std::string> path;
+  Json::json_pointer place;
 };
 
 // The columns of a loop with --feedback, and where its document has them.
-struct FeedbackColumn {
-  const char* name;
-  bool of_runs;
-  const char* key;
-};
-constexpr FeedbackColumn kFeedbackColumns[] = {{"error", true, "final_error"},
-                                               {"error_first_order", false, "final_error"},
-                                               {"loss", true, "loss"},
-                                               {"loss_error", true, "loss_error"},
-                                               {"loss_first_order", false, "expected_loss"},
-                                               {"otherwise", true, "otherwise"},
-                                               {"change_probability", false, "change_probability"},
-                                               {"failed", true, "failed"}};
+constexpr std::pair<const char*, const char*> kFeedbackColumns[] = {{"error", "/runs/final_error"},
+                                                                    {"error_first_order", "/final_error"},
+                                                                    {"loss", "/runs/loss"},
+                                                                    {"loss_error", "/runs/loss_error"},
+                                                                    {"loss_first_order", "/expected_loss"},
+                                                                    {"otherwise", "/runs/otherwise"},
+                                                                    {"change_probability", "/change_probability"},
+                                                                    {"failed", "/runs/failed"}};
 
 std::vector<ResultColumn> ColumnsOf(const SweepStudy& study) {
   const Request& request = study.request();
@@ -69,7 +64,7 @@ std::vector<ResultColumn> ColumnsOf(const SweepStudy& study) {
   const SweepProgram* program = KeptProgram();
   std::vector<ResultColumn> columns;
   const auto add = [&](std::initializer_list<const char*> names) {
-    for (const char* name : names) columns.push_back({name, {name}});
+    for (const char* name : names) columns.push_back({name, Json::json_pointer() / std::string(name)});
   };
   if (surrogate) add({"surrogate"});
   if (study.any_bias()) add({"biased"});
@@ -77,7 +72,7 @@ std::vector<ResultColumn> ColumnsOf(const SweepStudy& study) {
     add({"initial_loss", "loss_before_last", "final_loss", "exact_loss", "iterations", "evaluations", "seconds"});
     for (const DesignParameter& design : request.scene.design) {
       const std::string name = NameOf(design.parameter, request.scene);
-      columns.push_back({name, {"parameters", name}});
+      columns.push_back({name, Json::json_pointer("/parameters") / name});
     }
   } else if (program != nullptr) {
     add({"loss", "norm_dinitial", "norm_dcontrol", "norm_dparameters", "relative_error", "events"});
@@ -86,10 +81,8 @@ std::vector<ResultColumn> ColumnsOf(const SweepStudy& study) {
   }
   if (program != nullptr ? program->feedback : request.feedback.has_value()) {
     for (const std::string loop : {"open", "closed"}) {
-      for (const auto& [name, of_runs, key] : kFeedbackColumns) {
-        std::vector<std::string> path = {"feedback", loop, key};
-        if (of_runs) path.insert(path.end() - 1, "runs");
-        columns.push_back({loop + "_" + name, std::move(path)});
+      for (const auto& [name, place] : kFeedbackColumns) {
+        columns.push_back({loop + "_" + name, Json::json_pointer("/feedback/" + loop + place)});
       }
     }
   }
@@ -100,16 +93,11 @@ std::vector<ResultColumn> ColumnsOf(const SweepStudy& study) {
   return columns;
 }
 
-// Returns the finite number or the text at a path, or null.
-SweepValue ValueAt(const Json& document, const std::vector<std::string>& path) {
-  const Json* value = &document;
-  for (const std::string& key : path) {
-    const auto found = value->find(key);
-    if (found == value->end()) return {};
-    value = &*found;
-  }
-  const bool finite = value->is_number() && std::isfinite(value->get<double>());
-  return finite || value->is_string() ? *value : SweepValue();
+// Returns the finite number or the text at a place, or null.
+SweepValue ValueAt(const Json& document, const Json::json_pointer& place) {
+  const SweepValue value = document.value(place, Json());
+  const bool finite = value.is_number() && std::isfinite(value.get<double>());
+  return finite || value.is_string() ? value : SweepValue();
 }
 
 PointResult ToRow(const SweepStudy& study, int64_t point, Found found) {
@@ -118,7 +106,7 @@ PointResult ToRow(const SweepStudy& study, int64_t point, Found found) {
     found.document["surrogate"] = SurrogateToString(surrogate->kind);
   }
   found.document["biased"] = study.any_bias() && study.IsBiased(point) ? "yes" : "no";
-  for (const ResultColumn& column : ColumnsOf(study)) result.row.push_back(ValueAt(found.document, column.path));
+  for (const ResultColumn& column : ColumnsOf(study)) result.row.push_back(ValueAt(found.document, column.place));
   return result;
 }
 

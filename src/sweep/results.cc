@@ -161,7 +161,7 @@ void SweepStore::Read() {
 }
 
 const PointResult* SweepStore::Find(int64_t point) const {
-  const auto found = results_.find(study_->FirstLike(point));
+  const auto found = results_.find(point);
   return found == results_.end() ? nullptr : &found->second;
 }
 
@@ -176,7 +176,7 @@ void SweepStore::Add(int64_t point, PointResult result) {
       throw OutputError(path_ + ": cannot write: " + why + (restored ? "" : "; its last line is incomplete"));
     }
   }
-  results_[study_->FirstLike(point)] = std::move(result);
+  results_[point] = std::move(result);
 }
 
 void SweepStore::ForgetFailed() {

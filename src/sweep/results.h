@@ -35,7 +35,7 @@ class SweepStore {
   SweepStore(const SweepStore&) = delete;
   SweepStore& operator=(const SweepStore&) = delete;
 
-  // Returns the row of a point, or of another one with the same options, or null.
+  // Returns the row of a point, or null.
   const PointResult* Find(int64_t point) const;
 
   // Appends the row of a point. Throws OutputError if the file does not take it (a full disk, say), and leaves the file
@@ -52,7 +52,7 @@ class SweepStore {
   const SweepStudy* study_;
   std::string path_;  // empty: in memory
   int file_ = -1;
-  std::map<int64_t, PointResult> results_;  // by the first point with the same options
+  std::map<int64_t, PointResult> results_;  // by point
 };
 
 // The columns after those of the options. A solve is

@@ -73,9 +73,14 @@ SweepStudy::SweepStudy(Request request, std::vector<SweepBlock> blocks)
   if (solving_ && !Has(blocks_, "solver")) blocks_.push_back(WordBlock("solver", request_.solvers));
   generates_ = Has(blocks_, kSeedOption);
   any_bias_ = request_.options.surrogate || AnyContactIsBiased(blocks_);
-  for (const SweepBlock& block : blocks_) {
-    const int64_t rows = static_cast<int64_t>(block.rows.size());
-    if (__builtin_mul_overflow(size_, rows, &size_) || size_ > kMostPoints) {
+  for (SweepBlock& block : blocks_) {
+    std::map<std::string, int64_t>& row_of_cells = row_of_cells_.emplace_back();
+    std::erase_if(block.rows, [&](const SweepRow& row) {
+      std::string key;
+      for (const SweepValue& value : row) key += KeyOf(CellOf(value).Exact());
+      return !row_of_cells.try_emplace(key, std::ssize(row_of_cells)).second;
+    });
+    if (__builtin_mul_overflow(size_, std::ssize(block.rows), &size_) || size_ > kMostPoints) {
       throw InputError("--sweep has more than " + std::to_string(kMostPoints) + " points");
     }
   }
@@ -96,15 +101,6 @@ SweepStudy::SweepStudy(Request request, std::vector<SweepBlock> blocks)
     // An option may bear the name of a result.
     const bool taken = std::ranges::find(options_, result) != options_.end();
     columns_.push_back(taken ? result + std::string(kDoneSuffix) : result);
-  }
-  for (const SweepBlock& block : blocks_) {
-    std::map<std::string, int64_t>& row_of_cells = row_of_cells_.emplace_back();
-    std::vector<int64_t>& first_rows = first_rows_.emplace_back();
-    for (const SweepRow& row : block.rows) {
-      std::string key;
-      for (const SweepValue& value : row) key += KeyOf(CellOf(value).Exact());
-      first_rows.push_back(row_of_cells.try_emplace(key, std::ssize(first_rows)).first->second);
-    }
   }
 }
 
@@ -131,18 +127,6 @@ SweepRow SweepStudy::Values(int64_t point) const {
   return values;
 }
 
-int64_t SweepStudy::FirstLike(int64_t point) const {
-  CHECK(0 <= point && point < size_);
-  int64_t first = 0, points = 1;
-  for (size_t b = blocks_.size(); b-- > 0;) {
-    const int64_t count = std::ssize(first_rows_[b]);
-    first += first_rows_[b][point % count] * points;
-    point /= count;
-    points *= count;
-  }
-  return first;
-}
-
 std::optional<int64_t> SweepStudy::FindPoint(const std::vector<std::string>& cells) const {
   CHECK_EQ(cells.size(), places_.size());
   std::vector<std::vector<std::string>> keys(blocks_.size());
@@ -154,7 +138,7 @@ std::optional<int64_t> SweepStudy::FindPoint(const std::vector<std::string>& cel
     for (const std::string& key : keys[b]) joined += key;
     const auto found = row_of_cells_[b].find(joined);
     if (found == row_of_cells_[b].end()) return std::nullopt;
-    point = point * std::ssize(first_rows_[b]) + found->second;
+    point = point * std::ssize(blocks_[b].rows) + found->second;
   }
   return point;
 }

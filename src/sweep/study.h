@@ -115,8 +115,9 @@ struct PointRange {
 class SweepStudy {
  public:
   // Sweeps `blocks` and, fastest, the contact models (unless a program is kept, options.h) and solvers of `request`
-  // unless a block has them. Without solvers a point is the loss and its gradient at the initial guess. Preconditions:
-  // the blocks are ParseSweep's for the scene of `request`. Throws InputError if there are too many points.
+  // unless a block has them. Rows of a block that are alike are one. Without solvers a point is the loss and its
+  // gradient at the initial guess. Preconditions: the blocks are ParseSweep's for the scene of `request`. Throws
+  // InputError if there are too many points.
   SweepStudy(Request request, std::vector<SweepBlock> blocks);
 
   int64_t size() const { return size_; }
@@ -139,9 +140,7 @@ class SweepStudy {
   // The values of options() at a point. Precondition, here and below: 0 <= point < size().
   SweepRow Values(int64_t point) const;
 
-  // The first point whose options have the same values: an option may list a value twice.
-  int64_t FirstLike(int64_t point) const;
-  // The first point whose options are written so in a CSV file, in the order of options(), if there is one.
+  // The point whose options are written so in a CSV file, in the order of options(), if there is one.
   std::optional<int64_t> FindPoint(const std::vector<std::string>& cells) const;
 
   // Returns the task at a point: one contact model and, if solving, one solver. Throws InputError, with key and
@@ -160,9 +159,7 @@ class SweepStudy {
   int64_t size_ = 1;
   std::vector<std::string> options_;
   std::vector<std::string> columns_;
-  // The first row of each block by its cells, and the first row like each row.
-  std::vector<std::map<std::string, int64_t>> row_of_cells_;
-  std::vector<std::vector<int64_t>> first_rows_;
+  std::vector<std::map<std::string, int64_t>> row_of_cells_;  // of each block
   // Where each of options_ stands.
   struct Place {
     size_t block, column;

@@ -152,9 +152,7 @@ int RunSweep(const SweepStudy& study) {
   if (FLAGS_retry_failed) sweep->store.ForgetFailed();
   std::vector<int64_t> points;
   for (int64_t point = range.begin; point < range.end; ++point) {
-    const int64_t first = study.FirstLike(point);
-    const bool computed_with_first = first != point && first >= range.begin;
-    if (sweep->store.Find(point) == nullptr && !computed_with_first) points.push_back(point);
+    if (sweep->store.Find(point) == nullptr) points.push_back(point);
   }
   if (!points.empty()) {
     Progress progress(study.request().progress, stderr, "sweep " + study.request().scene.name, std::ssize(points));

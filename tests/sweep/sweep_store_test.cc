@@ -129,17 +129,12 @@ TEST_F(SweepStoreTest, RowsAreFoundInAnyOrderAndByNumbersHoweverWritten) {
   EXPECT_EQ(store.Find(3), nullptr);
 }
 
-TEST_F(SweepStoreTest, PointsWithTheSameOptionsHaveOneRow) {
-  const SweepStudy study = Study("stiffness=1,2,1;damping=5,5");
-  EXPECT_EQ(study.FirstLike(5), 0);
-  EXPECT_EQ(study.FirstLike(3), 2);
-  {
-    SweepStore store(directory_, "sweep", study);
-    store.Add(5, Row(study, 5));
-  }
-  const SweepStore store(directory_, "sweep", study);
-  for (const int64_t point : {0, 1, 4, 5}) EXPECT_NE(store.Find(point), nullptr) << point;
-  for (const int64_t point : {2, 3}) EXPECT_EQ(store.Find(point), nullptr) << point;
+TEST_F(SweepStoreTest, ValuesThatAreListedTwiceAreOnePoint) {
+  const SweepStudy study = Study("stiffness=1,2,1.0;damping=5,5");
+  ASSERT_EQ(study.size(), 2);
+  EXPECT_EQ(study.Values(0)[0], SweepValue(1.0));
+  EXPECT_EQ(study.Values(1)[0], SweepValue(2.0));
+  EXPECT_EQ(study.FindPoint({"2", "5.0", "event"}), 1);
 }
 
 TEST_F(SweepStoreTest, RefusesAnotherStudyAndSaysWhatDiffers) {
