@@ -16,9 +16,6 @@ void to_json(Json& json, const Series& series) {
 void to_json(Json& json, const ReferenceLine& line) {
   SALTUS_ADD_MEMBERS(&json, line, value, label, vertical, colour, dash);
 }
-void to_json(Json& json, const Circle& circle) { SALTUS_ADD_MEMBERS(&json, circle, centre, radius, colour, opacity); }
-void to_json(Json& json, const SolidHalfPlane& plane) { SALTUS_ADD_MEMBERS(&json, plane, point, normal); }
-void to_json(Json& json, const Outline& outline) { SALTUS_ADD_MEMBERS(&json, outline, name, points, solid); }
 void to_json(Json& json, const Panel& panel) {
   SALTUS_ADD_MEMBERS(&json, panel, title, x, y, equal_aspect, series, reference_lines, circles, half_planes, outlines);
 }

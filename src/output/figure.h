@@ -2,7 +2,6 @@
 // SVG files.
 #pragma once
 
-#include <array>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -54,20 +53,6 @@ std::string ColourOf(std::string_view model);
 // Returns a colour for a swept quantity, from dark blue (0) to light orange (1), with lightness growing throughout.
 std::string RampColour(double fraction);
 
-// A line from point to point. One side of a closed line may be solid.
-struct Outline {
-  enum class Solid { kNeither, kInside, kOutside };
-  std::string name;
-  std::vector<std::array<double, 2>> points;  // m, at least two; of a closed line the last is the first
-  Solid solid = Solid::kNeither;
-};
-
-NLOHMANN_JSON_SERIALIZE_ENUM(Outline::Solid, {{Outline::Solid::kNeither, "neither"},
-                                              {Outline::Solid::kInside, "inside"},
-                                              {Outline::Solid::kOutside, "outside"}})
-
-void to_json(Json& json, const Outline& outline);
-
 // One axis. Its range covers the data unless given. Preconditions: min < max, and both positive on a logarithmic axis.
 struct Axis {
   std::string label = {};  // with units, e.g. "time (s)"
@@ -100,20 +85,6 @@ struct ReferenceLine {
   Dash dash = Dash::kDashed;
 };
 
-// A circle in data coordinates.
-struct Circle {
-  std::array<double, 2> centre = {0, 0};
-  double radius = 0;
-  std::string colour = "#000000";
-  double opacity = 0.15;  // of the inside
-};
-
-// Solid ground: everything on the side of `point` that `normal` points away from.
-struct SolidHalfPlane {
-  std::array<double, 2> point = {0, 0};
-  std::array<double, 2> normal = {0, 1};
-};
-
 struct Panel {
   std::string title = {};
   Axis x = {};
@@ -121,9 +92,11 @@ struct Panel {
   bool equal_aspect = false;  // one unit is as long in x as in y; widens a range
   std::vector<Series> series = {};
   std::vector<ReferenceLine> reference_lines = {};
-  std::vector<Circle> circles = {};
-  std::vector<SolidHalfPlane> half_planes = {};
-  std::vector<Outline> outlines = {};
+  // Shapes in data coordinates: {"centre", "radius", "colour", "opacity"} with the opacity of the inside; ground that
+  // is solid on the side of a point that the normal points away from, {"point", "normal"}; and lines from point to
+  // point, of which one side may be solid if they are closed, {"name", "points", "solid": "neither", "inside" or
+  // "outside"}.
+  Json circles = Json::array(), half_planes = Json::array(), outlines = Json::array();
 };
 
 // Panels, with one legend for all of them.

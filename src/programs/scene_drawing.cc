@@ -20,30 +20,26 @@ namespace {
 
 constexpr double kChord = 2 * std::numbers::pi / 180;
 
-std::array<double, 2> Pair(const Vec2d& v) { return {v[0], v[1]}; }
-
 // In the order of the scene; arcs as chords, two degrees each at most.
-std::vector<Outline> OutlinesOf(const Scene& scene) {
-  std::vector<Outline> outlines;
-  for (const EdgeSegment& segment : scene.segments) {
-    outlines.push_back({segment.name, {Pair(segment.from), Pair(segment.to)}});
-  }
+Json OutlinesOf(const Scene& scene) {
+  Json outlines = Json::array();
+  const auto add = [&](const std::string& name, const std::vector<Vec2d>& points, const char* solid = "neither") {
+    outlines.push_back({{"name", name}, {"points", points}, {"solid", solid}});
+  };
+  for (const EdgeSegment& segment : scene.segments) add(segment.name, {segment.from, segment.to});
   for (const EdgePolygon& polygon : scene.polygons) {
-    const bool inside = polygon.solid == EdgePolygon::Solid::kInside;
-    Outline& outline = outlines.emplace_back();
-    outline.name = polygon.name;
-    outline.solid = inside ? Outline::Solid::kInside : Outline::Solid::kOutside;
-    for (const Vec2d& point : polygon.points) outline.points.push_back(Pair(point));
-    outline.points.push_back(outline.points.front());
+    std::vector<Vec2d> points = polygon.points;
+    points.push_back(polygon.points.front());
+    add(polygon.name, points, polygon.solid == EdgePolygon::Solid::kInside ? "inside" : "outside");
   }
   const auto add_arc = [&](const EdgeArc& arc) {
-    Outline& outline = outlines.emplace_back();
-    outline.name = arc.name;
+    std::vector<Vec2d> points;
     const int chords = std::max(1, static_cast<int>(std::ceil((arc.to - arc.from) / kChord)));
     for (int i = 0; i <= chords; ++i) {
       const double angle = arc.from + (arc.to - arc.from) * i / chords;
-      outline.points.push_back(Pair(arc.center + arc.radius * Vec2d(std::cos(angle), std::sin(angle))));
+      points.push_back(arc.center + arc.radius * Vec2d(std::cos(angle), std::sin(angle)));
     }
+    add(arc.name, points);
   };
   for (const EdgeArc& arc : scene.arcs) add_arc(arc);
   for (const Pocket& pocket : scene.pockets) {
@@ -56,16 +52,17 @@ std::vector<Outline> OutlinesOf(const Scene& scene) {
 
 Panel ScenePanel(const Scene& scene, const std::string& title) {
   Panel panel{.title = title, .x = {.label = "x (m)"}, .y = {.label = "y (m)"}, .equal_aspect = true};
-  for (const Body& body : scene.bodies) {
-    panel.circles.push_back({Pair(body.position), body.radius, "#555555", 0.25});
-  }
+  const auto add_circle = [&](const Vec2d& centre, double radius, const char* colour, double opacity) {
+    panel.circles.push_back({{"centre", centre}, {"radius", radius}, {"colour", colour}, {"opacity", opacity}});
+  };
+  for (const Body& body : scene.bodies) add_circle(body.position, body.radius, "#555555", 0.25);
   for (const Plane& plane : scene.planes) {
-    panel.half_planes.push_back({Pair(plane.point), Pair(plane.normal)});
+    panel.half_planes.push_back({{"point", plane.point}, {"normal", plane.normal}});
   }
   panel.outlines = OutlinesOf(scene);
   for (const TerminalTerm& term : scene.objective.terminal) {
     if (term.component || term.region || term.quantity != TerminalTerm::Quantity::kPosition) continue;
-    panel.circles.push_back({Pair(term.target), 0.03, "#000000", 1.0});
+    add_circle(term.target, 0.03, "#000000", 1.0);
   }
   return panel;
 }

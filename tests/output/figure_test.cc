@@ -38,9 +38,9 @@ TEST(FigureTest, JsonHasWhatAPanelHolds) {
   Figure figure = WaveFigure();
   Panel& panel = figure.panels[0];
   panel.y.min = -2;
-  panel.circles.push_back({{0.5, 0.25}, 0.125, "#123456"});
-  panel.half_planes.push_back({{0, -0.5}, {0, 1}});
-  panel.outlines.push_back({"box", {{0, 0}, {1, 0}, {1, 1}, {0, 0}}, Outline::Solid::kOutside});
+  panel.circles.push_back({{"centre", {0.5, 0.25}}, {"radius", 0.125}, {"colour", "#123456"}});
+  panel.half_planes.push_back({{"point", {0, -0.5}}, {"normal", {0, 1}}});
+  panel.outlines.push_back({{"name", "box"}, {"points", {{0, 0}, {1, 0}, {1, 1}, {0, 0}}}, {"solid", "outside"}});
   panel.reference_lines.push_back({.value = 0.25, .label = "impact", .vertical = true});
   panel.series[0].x[1] = 0.123456789;
   panel.series[0].y[1] = std::numeric_limits<double>::quiet_NaN();
