@@ -66,29 +66,14 @@ void TakeParameters(const std::string& flag, const SavedSolution& solution, Scen
 // those of the scene: then it is a solution of another problem.
 void StartFrom(const std::string& flag, const SavedSolution& solution, Scene* scene);
 
-// Reads a gradient from a JSON file, to be audited beside those of the contact models. Keys: position, velocity,
-// control and parameters, and of discs that spin angle and angular_velocity, as in every gradient that the programs
-// print. Lists may end early, [x, y] may be null if it is not known, and parameters are not looked at. Besides: name
-// (default: the path), tolerance (absolute, default 0) and intervals (equal parts of the horizon that rows of the
-// control stand for; default: one a step). Or an object with such a gradient under the key gradient, as in the audits
-// of saltus_audit --json: named, and its intervals known, by its contact model. Throws InputError.
+// Reads a gradient to be audited beside those of the contact models, in the format of docs/explanation/gradients.md
+// ("Externally computed gradients"). Its name is the path unless the file has one. Throws InputError.
 ExternalGradient ReadExternalGradient(const std::string& path, const Scene& scene);
 
-// Reads saved motions, of saltus or of another simulator, from NPZ or JSON:
-//
-//   bodies   [{ "name", "radius", "fixed" }]          fixed is false unless given
-//   planes   [{ "name", "point", "normal" }]          default none; likewise segments, polygons, arcs and pockets as
-//                                                     in scene files
-//   times    n numbers that do not fall, s
-//   states   n x B x [p_x, p_y, v_x, v_y]; without velocities, these are differences of the positions; of discs
-//            that spin angle and angular velocity follow, and what follows then is not looked at
-//   touches  [{ "a", "b", "begin", "end", "impulse" }], default none; end (begin) and impulse ([0, 0]) may be missing
-//
-// and the same with "exact_" before them, for arcs of constant acceleration between the times; or a list "runs" of
-// such, with "contact" and "solver", as saltus_solve --json --states prints them. In NPZ files, as saltus_solve writes
-// them, bodies are "scene" (the text of a scene file) or "radius" (B) and "name" (B), and "rotations" (n x B x 2) may
-// have the angles and angular velocities. Throws InputError with the key.
-// `scene` stands in for what the file says of bodies. The model of a motion is empty if the file names none.
+// Reads saved motions, of saltus or of another simulator, in the formats of docs/how-to/replays.md; a document of
+// saltus_solve --json --states has a list "runs" of them. Velocities that are missing are differences of the positions,
+// and "exact_" stands before what moves on arcs of constant acceleration between the times. `scene` stands in for what
+// the file says of bodies. The model of a motion is empty if the file names none. Throws InputError with the key.
 Replay ReadReplayFile(const std::string& path, const std::optional<Scene>& scene);
 
 }  // namespace saltus
