@@ -23,6 +23,13 @@ struct Tile {
   Tone tone = Tone::kPlain;
 };
 
+// A table with the name of its files and its caption, a sentence without its full stop.
+struct CaptionedTable {
+  std::string name;
+  std::string caption;
+  Table table;
+};
+
 // Collects the parts in order. All text is taken literally, except that `words between backquotes` are set as code.
 class Page {
  public:

@@ -84,12 +84,6 @@ inline double ThreadTime() {
 
 // The parts of the report of the paper: the figures of the experiments, and sections of further computations.
 
-struct CaptionedTable {
-  std::string name;  // of its files
-  std::string caption;
-  Table table;
-};
-
 struct PaperFigure {
   std::string caption;  // one or two sentences
   Figure figure;

@@ -14,6 +14,7 @@ namespace saltus {
 namespace {
 
 constexpr const char* kExact = "event";  // beside which the others stand
+constexpr std::size_t kMostOutliersNamed = 20;
 
 // Whether fits are of a scene under contact models, or of a hybrid system.
 bool IsOfScene(const Json& document) { return document["fits"].empty() || document["fits"][0].contains("contact"); }
@@ -111,14 +112,23 @@ Json LawToJson(const LearnedLaw& learned, const std::optional<KnownLaw>& known) 
   return item;
 }
 
-Json EventsToJson(const Scene& scene, const LearnedEventFunctions& learned) {
+// The impacts have the angle between the surface and the scene's plane, and their own restitution.
+Json EventsToJson(const Scene& scene, const IdentifyReport& report) {
+  const LearnedEventFunctions& learned = *report.events;
   Json item = {{"name", learned.functions.name}, {"parameters", learned.functions.parameters}};
   item["impacts"] = Json::array();
   for (const LearnedImpact& at : learned.impacts) {
+    const Plane& plane = scene.planes[at.plane];
+    const Vec2d normal = plane.normal.normalized();
     Json& impact = item["impacts"].emplace_back(Json{{"segment", at.segment}, {"body", scene.bodies[at.body].name}});
-    impact["plane"] = scene.planes[at.plane].name;
+    impact["recording"] = report.recordings[report.segment_recording[at.segment]];
+    impact["plane"] = plane.name;
     SALTUS_ADD_MEMBERS(&impact, at, position, before, after, normal);
     impact["beyond_plane"] = at.scene_gap;
+    impact["turned"] = std::atan2(normal[0] * at.normal[1] - normal[1] * at.normal[0], normal.dot(at.normal));
+    impact["speed"] = at.before.norm();
+    impact["speed_after"] = at.after.norm();
+    impact["restitution"] = -at.after.dot(at.normal) / at.before.dot(at.normal);
   }
   return item;
 }
@@ -153,23 +163,6 @@ Series KnownLawSeries(const LearnedLaw& learned, const KnownLaw& known) {
 
 }  // namespace
 
-const LearnedLaw* LawOf(const Identified& identified) {
-  for (const IdentifyReport& report : identified.reports) {
-    if (report.law && !report.law->curve.empty()) return &*report.law;
-  }
-  return nullptr;
-}
-
-Table LawTable(const Identified& identified, const Json& document) {
-  const auto has_law = [](const Json& fit) { return fit.contains("law") && !fit["law"]["curve"].empty(); };
-  const auto fit = std::ranges::find_if(document["fits"], has_law);
-  return TableOf(fit == document["fits"].end() ? Json::array() : Json::array({*fit}),
-                 "/law/curve",
-                 "speed:4; sliding:4; restitution:5; standard error:2; friction:5; "
-                 "standard error of friction=friction_standard_error:2" +
-                     std::string(identified.known_law ? "; known restitution:5" : ""));
-}
-
 Figure LawFigure(const LearnedLaw& learned, const std::optional<KnownLaw>& known) {
   Figure figure{.panels = {LawPanel(learned, "restitution", &LawPoint::restitution, &LawPoint::restitution_error)}};
   if (known) figure.panels[0].series.push_back(KnownLawSeries(learned, *known));
@@ -179,29 +172,7 @@ Figure LawFigure(const LearnedLaw& learned, const std::optional<KnownLaw>& known
   return figure;
 }
 
-Table EventTable(const Scene& scene, const Identified& identified) {
-  Table table(
-      ColumnsOf("plane; recording; body; x:5; y:5; beyond m:3; turned rad:3; speed:4; speed after:4; restitution:4"),
-      3);
-  for (const IdentifyReport& report : identified.reports) {
-    if (!report.events) continue;
-    for (const LearnedImpact& at : report.events->impacts) {
-      const Vec2d normal = scene.planes[at.plane].normal.normalized();
-      const double closing = -at.before.dot(at.normal), parting = at.after.dot(at.normal);
-      table.AddRow({scene.planes[at.plane].name,
-                    report.recordings[report.segment_recording[at.segment]],
-                    scene.bodies[at.body].name,
-                    at.position[0],
-                    at.position[1],
-                    at.scene_gap,
-                    std::atan2(normal[0] * at.normal[1] - normal[1] * at.normal[0], normal.dot(at.normal)),
-                    at.before.norm(),
-                    at.after.norm(),
-                    parting / closing});
-    }
-  }
-  return table;
-}
+namespace {
 
 Table EstimateTable(const Json& document) {
   Json fits = document["fits"];
@@ -230,16 +201,6 @@ Table FitTable(const Json& document) {
       std::string(IsOfScene(document) ? "contact; verdict; samples; outliers; misfit:4; sigma:3; cost:6; impacts"
                                       : "system; verdict; samples; outliers; misfit:4; cost:6; events") +
           "; starts; sequences; iterations; seconds:3; remark=reason");
-}
-
-std::vector<std::string> FitRemarks(const Identified& identified) {
-  std::vector<std::string> remarks;
-  for (std::size_t i = 0; i < identified.reports.size(); ++i) {
-    for (const std::string& remark : identified.reports[i].remarks) {
-      remarks.push_back(identified.contacts[i] + ": " + remark);
-    }
-  }
-  return remarks;
 }
 
 Table ComparisonTable(const Json& document) {
@@ -273,6 +234,52 @@ Table OutlierTable(const Json& document) {
   return TableOf(document["fits"], "/outliers", columns, 3, kMostOutliersNamed);
 }
 
+Table LawTable(const Json& document) {
+  bool known = false;  // the law that the learned one stands beside
+  for (const Json& fit : document["fits"]) {
+    for (const Json& point : fit.value(Json::json_pointer("/law/curve"), Json::array())) {
+      known |= point.contains("known_restitution");
+    }
+  }
+  return TableOf(document["fits"],
+                 "/law/curve",
+                 "speed:4; sliding:4; restitution:5; standard error:2; friction:5; "
+                 "standard error of friction=friction_standard_error:2" +
+                     std::string(known ? "; known restitution:5" : ""));
+}
+
+}  // namespace
+
+std::vector<CaptionedTable> FitTables(const Json& document) {
+  return {{"fits", IsOfScene(document) ? "The fit of each contact model" : "The fit", FitTable(document)},
+          {"parameters", "Parameters; 95 % confidence is from ... to", EstimateTable(document)},
+          {"beside_event",
+           "Beside event, whose motion and derivatives are exact: bias is what a value is more",
+           ComparisonTable(document)},
+          {"law", "Law of impact, at speeds that the impacts had, in m/s", LawTable(document)},
+          {"events",
+           "Impacts by the learned event functions; beyond is how far the surface is from the scene's plane, turned by "
+           "how much its normal is",
+           TableOf(document["fits"],
+                   "/events/impacts",
+                   "plane; recording; body; x=position/0:5; y=position/1:5; beyond m=beyond_plane:3; "
+                   "turned rad=turned:3; speed:4; speed after:4; restitution:4",
+                   3)},
+          {"outliers",
+           "Outliers, at most " + std::to_string(kMostOutliersNamed) + " of them, residuals in sigmas",
+           OutlierTable(document)}};
+}
+
+std::vector<std::string> FitRemarks(const Identified& identified) {
+  std::vector<std::string> remarks;
+  for (std::size_t i = 0; i < identified.reports.size(); ++i) {
+    for (const std::string& remark : identified.reports[i].remarks) {
+      remarks.push_back(identified.contacts[i] + ": " + remark);
+    }
+  }
+  return remarks;
+}
+
 Table ResidualTable(const Identified& identified) {
   Table residuals(ColumnsOf("contact; recording; line; time; body; x; y; residual_x; residual_y; outlier"));
   for (std::size_t i = 0; i < identified.reports.size(); ++i) {
@@ -304,7 +311,7 @@ Json IdentifiedToJson(const Scene& scene, const Identified& identified) {
     AddFit(report, exact, /*of_scene=*/true, &item);
     if (HasMinimum(report)) {
       if (report.law) item["law"] = LawToJson(*report.law, identified.known_law);
-      if (report.events) item["events"] = EventsToJson(scene, *report.events);
+      if (report.events) item["events"] = EventsToJson(scene, report);
       item["segments"] = Json::array();
       for (std::size_t s = 0; s < report.initial.size(); ++s) {
         item["segments"].push_back({{"recording", report.recordings[report.segment_recording[s]]},
@@ -325,6 +332,14 @@ Json IdentifiedToJson(const Scene& scene, const Identified& identified) {
 
 namespace {
 
+// The law of impact that was learned; null if none was.
+const LearnedLaw* LawOf(const Identified& identified) {
+  for (const IdentifyReport& report : identified.reports) {
+    if (report.law && !report.law->curve.empty()) return &*report.law;
+  }
+  return nullptr;
+}
+
 constexpr std::size_t kMostModels = 8, kMostRecordings = 6;  // in a figure
 constexpr std::size_t kMostPoints = 1500;                    // of a model
 
@@ -337,14 +352,17 @@ std::vector<std::size_t> ShownFits(const Identified& identified) {
   return shown;
 }
 
-void AddFits(const Identified& identified, const Json& document, Page* page) {
+void AddTable(const std::vector<CaptionedTable>& tables, const std::string& name, Page* page) {
+  const auto found = std::ranges::find(tables, name, &CaptionedTable::name);
+  page->AddTableIfAny(found->table, found->caption + ".");
+}
+
+void AddFits(const Identified& identified, const std::vector<CaptionedTable>& tables, Page* page) {
   page->AddHeading("Fits");
-  page->AddTableIfAny(FitTable(document), "The fit of each " + identified.by + ".");
+  AddTable(tables, "fits", page);
   if (const std::vector<std::string> remarks = FitRemarks(identified); !remarks.empty()) page->AddList(remarks);
-  page->AddTableIfAny(EstimateTable(document), "Parameters; `from` and `to` bound the 95 % confidence interval.");
-  page->AddTableIfAny(
-      ComparisonTable(document),
-      "Compared with `event`, whose motion and derivatives are exact: the bias is the value less that of `event`.");
+  AddTable(tables, "parameters", page);
+  AddTable(tables, "beside_event", page);
 }
 
 // Draws samples as dots, the motion of each fit as lines, which end where a segment does, and the walls of the first
@@ -385,7 +403,7 @@ void AddMotions(const Scene& scene, const Identified& identified, Page* page) {
                       (shown.size() > 1 ? " Walls are those of `" + identified.contacts[shown[0]] + "`." : ""));
 }
 
-void AddResidualsAndOutliers(const Identified& identified, const Json& document, Page* page) {
+void AddResidualsAndOutliers(const Identified& identified, const std::vector<CaptionedTable>& tables, Page* page) {
   Panel panel{.x = {.label = "time (s)"}, .y = {.label = "residual (standard deviations)"}};
   for (const std::size_t i : ShownFits(identified)) {
     const std::vector<SampleResidual>& residuals = identified.reports[i].residuals;
@@ -402,30 +420,24 @@ void AddResidualsAndOutliers(const Identified& identified, const Json& document,
   if (panel.series.empty()) return;
   Figure figure{.panels = {panel}};
   page->AddFigure(figure, "Distance of each sample from the fitted motion, in standard deviations of the noise.");
-  page->AddTableIfAny(OutlierTable(document),
-                      "Outliers, at most " + std::to_string(kMostOutliersNamed) + " of them; residuals in sigmas.");
+  AddTable(tables, "outliers", page);
 }
 
 void AddSections(const Scene& scene, const Identified& identified, const Json& document, Page* page) {
-  AddFits(identified, document, page);
-  const Table law = LawTable(identified, document);
-  if (!law.rows().empty()) {
+  const std::vector<CaptionedTable> tables = FitTables(document);
+  AddFits(identified, tables, page);
+  if (const LearnedLaw* law = LawOf(identified)) {
     page->AddHeading("Law of impact");
-    const Figure figure = LawFigure(*LawOf(identified), identified.known_law);
-    page->AddFigure(figure, "The law with its 95 % confidence band.");
-    page->AddTable(law, "The law at speeds that the impacts had, in m/s.");
+    page->AddFigure(LawFigure(*law, identified.known_law), "The law with its 95 % confidence band.");
+    AddTable(tables, "law", page);
   }
-  const Table events = EventTable(scene, identified);
-  if (!events.rows().empty()) {
+  if (std::ranges::any_of(identified.reports, [](const auto& report) { return report.events.has_value(); })) {
     page->AddHeading("Event functions");
-    page->AddTable(events,
-                   "Impacts by the learned event functions; `beyond` is the distance of the surface from the scene's "
-                   "plane, `turned` "
-                   "the angle between their normals.");
+    AddTable(tables, "events", page);
   }
   page->AddHeading("Motions");
   AddMotions(scene, identified, page);
-  AddResidualsAndOutliers(identified, document, page);
+  AddResidualsAndOutliers(identified, tables, page);
 }
 
 }  // namespace
@@ -440,7 +452,8 @@ Json HybridFitToJson(const Identified& identified) {
 void WriteHybridFitPage(const Identified& identified, const Json& document, const std::string& path) {
   const IdentifyReport& report = identified.reports[0];
   Page page("Fit", std::to_string(report.recordings.size()) + " experiments");
-  AddFits(identified, document, &page);
+  const std::vector<CaptionedTable> tables = FitTables(document);
+  AddFits(identified, tables, &page);
   page.AddHeading("Motions");
   for (std::size_t q = 0; q < report.quantities.size(); ++q) {
     Panel panel{.x = {.label = "time (s)"}, .y = {.label = report.quantities[q]}};
@@ -460,7 +473,7 @@ void WriteHybridFitPage(const Identified& identified, const Json& document, cons
     panel.series.push_back(std::move(measured));
     page.AddFigure({.panels = {panel}}, "What was measured, and the fitted motion of each experiment at these times.");
   }
-  AddResidualsAndOutliers(identified, document, &page);
+  AddResidualsAndOutliers(identified, tables, &page);
   page.SetResults(document);
   ThrowIfFailed(page.Write(path));
 }

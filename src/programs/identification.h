@@ -7,8 +7,8 @@
 #include <vector>
 
 #include "base/table.h"
-#include "output/figure.h"
 #include "output/npz.h"
+#include "output/page.h"
 #include "programs/json_output.h"
 #include "programs/program.h"
 #include "saltus/identify/identify.h"
@@ -58,26 +58,15 @@ struct Identified {
 
 Json IdentifiedToJson(const Scene& scene, const Identified& identified);
 
-inline constexpr std::size_t kMostOutliersNamed = 20;
-
-// Returns the parameters of each fit, and its result.
-Table EstimateTable(const Json& document);
-Table FitTable(const Json& document);
+// The tables of a document of fits, some of them empty: "fits", "parameters" of each, "beside_event" (every parameter
+// under every contact model, beside what `event` has: bias is what a value is more), the "law" of impact that was
+// learned, "events" (every impact with a plane by event functions that were learned) and the first "outliers".
+std::vector<CaptionedTable> FitTables(const Json& document);
 // Returns the remarks on fits, each behind its contact model.
 std::vector<std::string> FitRemarks(const Identified& identified);
-// Every parameter under every contact model, beside what `event` has: bias is what a value is more. Empty without a fit
-// by `event`, or without others.
-Table ComparisonTable(const Json& document);
-// The law of impact that was learned; null if none was.
-const LearnedLaw* LawOf(const Identified& identified);
-// With standard errors, beside the law that is known; empty if none was learned.
-Table LawTable(const Identified& identified, const Json& document);
-// With a band of 95 % confidence. Precondition: the law has a curve.
+// The law of a report, with a band of 95 % confidence. Precondition: it has a curve.
 Figure LawFigure(const LearnedLaw& learned, const std::optional<KnownLaw>& known);
-// Every impact with a plane by event functions that were learned; empty if none were.
-Table EventTable(const Scene& scene, const Identified& identified);
-// The first outliers, for a person; and all residuals.
-Table OutlierTable(const Json& document);
+// All residuals.
 Table ResidualTable(const Identified& identified);
 
 // The fit of a hybrid system, the only one of `identified`, as JSON and as a page. WriteHybridFitPage() throws

@@ -89,34 +89,26 @@ std::vector<Unknown> ReadUnknowns(const Scene& scene) {
   return std::get<std::vector<Unknown>>(std::move(unknowns));
 }
 
-void PrintTables(const Scene& scene, const Identified& identified, const Json& document) {
+void PrintTables(const Scene& scene, const Identified& identified, const std::vector<CaptionedTable>& tables) {
   const std::string learned = FLAGS_events.empty() ? "the law of impact" : "event functions";
-  PrintTable(scene.name + ": " + (Learns() && !IsGiven("unknown") ? learned : FLAGS_unknown), FitTable(document));
-  const std::size_t width = LayoutOfStandardOutput().width;
-  for (const std::string& remark : FitRemarks(identified)) std::cout << Paragraph(remark, width) << std::endl;
-  PrintTableIfAny("95 % confidence is from ... to", EstimateTable(document));
-  PrintTableIfAny("Beside event, whose motion and derivatives are exact: bias is what a value is more",
-                  ComparisonTable(document));
-  PrintTableIfAny("Law of impact, at speeds that the impacts had, in m/s", LawTable(identified, document));
-  PrintTableIfAny(
-      "Impacts by the learned event functions; beyond is how far the surface is from the scene's plane, turned by how "
-      "much its normal is",
-      EventTable(scene, identified));
-  PrintTableIfAny("Outliers, at most " + std::to_string(kMostOutliersNamed) + " of them, residuals in sigmas",
-                  OutlierTable(document));
+  const std::string title = scene.name + ": " + (Learns() && !IsGiven("unknown") ? learned : FLAGS_unknown);
+  for (const auto& [name, caption, table] : tables) {
+    PrintTableIfAny(name == "fits" ? title : caption, table);
+    if (name != "fits") continue;
+    const std::size_t width = LayoutOfStandardOutput().width;
+    for (const std::string& remark : FitRemarks(identified)) std::cout << Paragraph(remark, width) << std::endl;
+  }
 }
 
-void WriteFiles(const std::string& directory, const Scene& scene, const Identified& identified, const Json& document) {
+void WriteFiles(const std::string& directory, const Scene& scene, const Identified& identified,
+                const std::vector<CaptionedTable>& tables) {
   if (directory.empty()) return;
-  const std::string path = directory + "/" + scene.name;
-  WriteTextFile(path + "_parameters.csv", EstimateTable(document).ToCsv());
-  WriteTextFile(path + "_residuals.csv", ResidualTable(identified).ToCsv());
-  const auto write_if_any = [&](const std::string& suffix, const Table& table) {
-    if (!table.rows().empty()) WriteTextFile(path + suffix, table.ToCsv());
-  };
-  write_if_any("_events.csv", EventTable(scene, identified));
-  write_if_any("_beside_event.csv", ComparisonTable(document));
-  write_if_any("_law.csv", LawTable(identified, document));
+  const std::string path = directory + "/" + scene.name + "_";
+  WriteTextFile(path + "residuals.csv", ResidualTable(identified).ToCsv());
+  for (const auto& [name, caption, table] : tables) {
+    if (name == "fits" || name == "outliers" || (name != "parameters" && table.rows().empty())) continue;
+    WriteTextFile(path + name + ".csv", table.ToCsv());
+  }
 }
 
 int ExitCodeOf(const Identified& identified) {
@@ -176,13 +168,10 @@ int IdentifyMain(int argc, char** argv) {
     const InterruptGuard guard;
     FitAll(request, &identified);
     const Json document = IdentifiedToJson(request.scene, identified);
-    const auto print = [&] {
-      if (request.json) return PrintJson(document);
-      PrintTables(request.scene, identified, document);
-    };
-    DoAll({[&] { WriteFiles(request.output_dir, request.scene, identified, document); },
+    const std::vector<CaptionedTable> tables = FitTables(document);
+    DoAll({[&] { WriteFiles(request.output_dir, request.scene, identified, tables); },
            [&] { WriteIdentifyReport(request, identified, document); },
-           print});
+           [&] { request.json ? PrintJson(document) : PrintTables(request.scene, identified, tables); }});
     PrintReportPath(request);
     return ExitCodeOf(identified);
   });
