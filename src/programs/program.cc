@@ -246,11 +246,6 @@ std::vector<std::string> ReadNames(const std::string& flag, const std::string& l
 
 namespace {
 
-template <typename Entries>
-std::string Names(const Entries& entries) {
-  return Joined(NameList(entries));
-}
-
 void PrintModels() {
   for (const ModelTraits& model : AllContactModels()) {
     std::printf("%-16s %s\n", std::string(model.name).c_str(), std::string(model.summary).c_str());
@@ -281,7 +276,8 @@ std::vector<std::string> ReadContacts(const std::string& value) {
     }
     if (std::ranges::find(contacts, contact) == contacts.end()) contacts.push_back(contact);
   }
-  if (contacts.empty()) throw InputError("--contact is empty; expected some of " + Names(AllContactModels()));
+  if (contacts.empty())
+    throw InputError("--contact is empty; expected some of " + Joined(NameList(AllContactModels())));
   return contacts;
 }
 
@@ -297,24 +293,22 @@ SurrogateKind KindFromFlag() {
   for (const SurrogateEntry& entry : AllSurrogates()) {
     if (entry.name == FLAGS_surrogate) return entry.kind;
   }
-  throw InputError("--surrogate=" + FLAGS_surrogate + " is unknown; expected one of " + Names(AllSurrogates()));
+  throw InputError("--surrogate=" + FLAGS_surrogate + " is unknown; expected one of " +
+                   Joined(NameList(AllSurrogates())));
 }
 
 std::optional<Surrogate> SurrogateFromFlags() {
-  if (FLAGS_surrogate.empty()) {
-    RefuseFlags(kSmoothingFlags, " needs --surrogate=smoothed_zeroth or --surrogate=smoothed_first");
-    return std::nullopt;
-  }
-  Surrogate surrogate{.kind = KindFromFlag()};
-  if (!surrogate.smooths()) {
+  std::optional<Surrogate> surrogate;
+  if (!FLAGS_surrogate.empty()) surrogate = Surrogate{.kind = KindFromFlag()};
+  if (!surrogate || !surrogate->smooths()) {
     RefuseFlags(kSmoothingFlags, " needs --surrogate=smoothed_zeroth or --surrogate=smoothed_first");
     return surrogate;
   }
-  surrogate.sigma = FLAGS_surrogate_sigma;
-  surrogate.samples = FLAGS_surrogate_samples;
-  surrogate.seed = FLAGS_surrogate_seed;
-  surrogate.segments = FLAGS_surrogate_segments;
-  if (const std::string why = Validate(surrogate); !why.empty()) throw InputError("--surrogate_" + why);
+  surrogate->sigma = FLAGS_surrogate_sigma;
+  surrogate->samples = FLAGS_surrogate_samples;
+  surrogate->seed = FLAGS_surrogate_seed;
+  surrogate->segments = FLAGS_surrogate_segments;
+  if (const std::string why = Validate(*surrogate); !why.empty()) throw InputError("--surrogate_" + why);
   return surrogate;
 }
 

@@ -24,12 +24,6 @@ namespace {
 constexpr char kLaunches[] = "Launches that hit the target exactly, under exact dynamics";
 constexpr const char* kModes[] = {"frictionless", "slip", "stick"};
 
-std::string Sequence(const LaunchSolution& launch) {
-  std::string sequence;
-  for (const ExactEvent& event : launch.events) sequence += (sequence.empty() ? "" : ", ") + event.b;
-  return sequence.empty() ? "none" : sequence;
-}
-
 // Returns launches, slowest first, which has the least effort. Empty if the scene is not of this kind (see
 // FindLaunchSolutions) or optimizes something else than velocities.
 std::vector<LaunchSolution> FindLaunches(const Scene& scene) {
@@ -54,16 +48,15 @@ Json LaunchesToJson(const std::vector<LaunchSolution>& launches) {
   return list;
 }
 
-Table LaunchTable(const std::vector<LaunchSolution>& launches) {
-  Table table(ColumnsOf("strikes; velocity x:12; velocity y:12; speed²:12; remark"));
-  for (const LaunchSolution& launch : launches) {
-    table.AddRow({Sequence(launch),
-                  launch.velocity[0],
-                  launch.velocity[1],
-                  launch.velocity.squaredNorm(),
-                  &launch == &launches.front() ? "minimum effort" : ""});
+Table LaunchTable(Json launches) {
+  for (Json& launch : launches) {
+    std::vector<std::string> struck;
+    for (const Json& event : launch["events"]) struck.push_back(event["b"]);
+    launch["strikes"] = struck.empty() ? "none" : Joined(struck);
+    if (launch["minimum_effort"].get<bool>()) launch["remark"] = "minimum effort";
   }
-  return table;
+  return TableOf(
+      launches, "", "strikes; velocity x=velocity/0:12; velocity y=velocity/1:12; speed²=speed_squared:12; remark");
 }
 
 // The gradient in --given beside the reference.
@@ -143,13 +136,13 @@ void PrintTables(const Request& request, const Results& results) {
   }
   if (results.HasRuns()) PrintSolveTable(request, *results.solved);
   if (results.launches.empty()) return;
-  std::cout << "\n" << kLaunches << "\n\n" << LaunchTable(results.launches).ToText(layout);
+  std::cout << "\n" << kLaunches << "\n\n" << LaunchTable(LaunchesToJson(results.launches)).ToText(layout);
 }
 
 void AddSections(const Request& request, const Results& results, Page* page) {
   if (results.audit) AddAuditSections(request, *results.audit, page);
   if (results.HasRuns()) AddSolveSections(request, *results.solved, page);
-  page->AddTableIfAny(LaunchTable(results.launches), kLaunches + std::string("."));
+  page->AddTableIfAny(LaunchTable(LaunchesToJson(results.launches)), kLaunches + std::string("."));
   page->SetResults(ToJson(OmitStates(request), results));
 }
 

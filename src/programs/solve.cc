@@ -48,29 +48,22 @@ struct Refusal {
 // Returns the refusals: solvers that one contact model refuses for one reason are joined, and then contact models that
 // refuse the same solvers.
 std::vector<Refusal> RefusalsOf(const SolvedRuns& solved) {
+  using Names = std::vector<std::string> Refusal::*;
+  // Adds a refusal, or its only name in `joined` to one that differs in nothing else.
+  const auto add = [](const Refusal& added, Names same, Names joined, std::vector<Refusal>* refusals) {
+    const auto found = std::ranges::find_if(
+        *refusals, [&](const Refusal& one) { return one.reason == added.reason && one.*same == added.*same; });
+    if (found == refusals->end()) return refusals->push_back(added);
+    ((*found).*joined).push_back((added.*joined).front());
+  };
   std::vector<Refusal> of_contacts, refusals;
   for (const SolvedRun& run : solved.runs) {
     const SolveReport& report = run.report;
     if (report.termination != Termination::kNotApplicable) continue;
-    const std::string contact = LabelOf(report.contact, report.surrogate);
-    const auto same = std::ranges::find_if(of_contacts, [&](const Refusal& one) {
-      return one.contacts.front() == contact && one.reason == report.reason;
-    });
-    if (same != of_contacts.end()) {
-      same->solvers.push_back(report.solver);
-    } else {
-      of_contacts.push_back({{contact}, {report.solver}, report.reason});
-    }
+    const Refusal refusal{{LabelOf(report.contact, report.surrogate)}, {report.solver}, report.reason};
+    add(refusal, &Refusal::contacts, &Refusal::solvers, &of_contacts);
   }
-  for (const Refusal& added : of_contacts) {
-    const auto same = std::ranges::find_if(
-        refusals, [&](const Refusal& one) { return one.solvers == added.solvers && one.reason == added.reason; });
-    if (same != refusals.end()) {
-      same->contacts.push_back(added.contacts.front());
-    } else {
-      refusals.push_back(added);
-    }
-  }
+  for (const Refusal& refusal : of_contacts) add(refusal, &Refusal::solvers, &Refusal::contacts, &refusals);
   return refusals;
 }
 
