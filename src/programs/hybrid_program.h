@@ -83,20 +83,16 @@ int RunHybridProgram(int argc, char** argv, const S& system, const HybridProblem
 }
 
 // The document of a problem of a hybrid system, as JSON: the system, its motion from the guess, gradients and
-// solutions. The programs print it, their pages show it, and Python reads it.
+// solutions. The programs print it, their pages show it, and Python reads it; docs/reference/json.md has its keys
+// ("hybrid.json").
 
-// {"modes": [{"name", "states", "guards"}], "controls": [name, ...], "parameters": [name, ...]}
 Json HybridSystemToJson(const HybridSystem& system);
-
-// Returns the input of a motion: {"mode", "initial", "parameters", "duration", "intervals", "control"}.
+// Returns the input of a motion.
 Json HybridInputToJson(const HybridSystem& system, const HybridInput& input);
 
-// The simulator's last rollout: {"mode", "final", "events": [{"time", "mode", "guard", "next_mode", "rate"}],
-// "steps_per_interval"}, and if it failed "failed" with the reason and "accumulation" with the time at which events
-// accumulate. "remark" states why there is no derivative or only a one-sided one; "remarks" is the list of all remarks
-// (remarks.h). With `states` also "times", "modes",
-// "states" and "guards" (the values of the mode's guards): at every step of the integration, and before and after every
-// event; and with `draw` "frames", their drawings as {"lines", "circles"}.
+// Returns the simulator's last rollout. With `states` also "times", "modes", "states" and "guards" (the values of the
+// mode's guards): at every step of the integration, and before and after every event; and with `draw` "frames", their
+// drawings as {"lines", "circles"}.
 Json HybridMotionToJson(const HybridSimulator& simulator, const HybridInput& input, bool ok, bool states,
                         const DrawState& draw = nullptr);
 
@@ -106,16 +102,14 @@ Json DrawnMotionToJson(const HybridProblem& problem, const HybridInput& input, c
 // Adds "integration_error" of the simulator's last rollout, which succeeded, and the remarks on it. Costs a rollout.
 void AddIntegrationError(const HybridProblem& problem, HybridSimulator* simulator, Json* motion);
 
-// The loss at the guess and its gradient by all that the motion depends on: {"loss", "gradient"}, or {"failed"} with
-// the reason. `motion`, if given, becomes that of the guess.
+// The loss at the guess and its gradient by all that the motion depends on, or "failed" with the reason. `motion`, if
+// given, becomes that of the guess.
 Json HybridLossToJson(const HybridProblem& problem, bool states, Json* motion = nullptr);
 
-// {"solver", "termination", "reason", "initial_loss", "final_loss", "losses", "iterations", "evaluations", "seconds",
-// "integration_error", "solution", "durations", "motion", "certificate"}; of what is not applicable, the first three.
+// An entry of "runs"; of what is not applicable "solver", "termination" and "reason".
 Json HybridRunToJson(const HybridProblem& problem, const SolveReport& report, bool states);
 
-// {"scheme", "verdict", "reason", "steps", "loss", "exact_loss", "order", "gradient", "exact_gradient", "parts",
-// "segments", "first_wrong", "width_sweep"}, as in hybrid_audit.h.
+// An entry of "audits" (saltus/audit/hybrid_audit.h).
 Json HybridAuditToJson(const HybridProblem& problem, const HybridAudit& audit);
 
 // The tables of a document, for the terminal and for the page.
