@@ -98,21 +98,29 @@ double ErrorByInitialState(const Results& results, size_t model) {
   return RelativeError(gradient.gradient.initial, results.report.reference->gradient.initial);
 }
 
-// Returns "continuous force" or, where tasks differ, "continuous force (1), force with a jump (2, 3)".
-std::string ClassesOf(const std::vector<Results>& all, size_t model) {
-  std::vector<std::pair<std::string, std::vector<std::string>>> classes;  // and the numbers of their tasks
+// Returns the classes of a model, and the numbers of the tasks in which it is of each.
+std::vector<std::pair<ContactClass, std::vector<std::string>>> ClassesOf(const std::vector<Results>& all,
+                                                                         size_t model) {
+  std::vector<std::pair<ContactClass, std::vector<std::string>>> classes;
   for (size_t task = 0; task < all.size(); ++task) {
     const ModelAudit& audit = all[task].report.models[model];
     if (!audit.recognition) continue;
-    const std::string found = ContactClassToString(audit.recognition->contact_class);
+    const ContactClass found = audit.recognition->contact_class;
     auto known = std::ranges::find_if(classes, [&](const auto& entry) { return entry.first == found; });
     if (known == classes.end()) known = classes.insert(classes.end(), {found, {}});
     known->second.push_back(std::to_string(task + 1));
   }
-  if (classes.size() == 1) return classes.front().first;
+  return classes;
+}
+
+// Returns "continuous force" or, where tasks differ, "continuous force (1), force with a jump (2, 3)".
+std::string ClassesInWords(const std::vector<Results>& all, size_t model) {
+  const auto classes = ClassesOf(all, model);
   std::vector<std::string> words;
-  for (const auto& [found, tasks] : classes) words.push_back(found + " (" + Joined(tasks, ", ") + ")");
-  return Joined(words, ", ");
+  for (const auto& [found, tasks] : classes) {
+    words.push_back(ContactClassToString(found) + (classes.size() > 1 ? " (" + Joined(tasks) + ")" : ""));
+  }
+  return Joined(words);
 }
 
 // Returns the geometric mean of the cost over the tasks.
@@ -138,7 +146,7 @@ CaptionedTable TableOf(const std::vector<Results>& all, const std::vector<std::s
   columns.push_back({"cost of a step"});
   Table table(columns);
   for (size_t model = 0; model < contacts.size(); ++model) {
-    std::vector<Cell> row = {contacts[model], ClassesOf(all, model)};
+    std::vector<Cell> row = {contacts[model], ClassesInWords(all, model)};
     for (const Results& results : all) {
       const ModelAudit& audit = results.report.models[model];
       if (!audit.gradient.ok()) {
@@ -194,13 +202,9 @@ PaperFigure FigureOf(const std::vector<Results>& all, const std::vector<std::str
 std::vector<std::string> FindingsOf(const std::vector<Results>& all, const std::vector<std::string>& contacts) {
   std::map<ContactClass, std::vector<std::string>> members;
   for (size_t model = 0; model < contacts.size(); ++model) {
-    std::map<ContactClass, std::vector<std::string>> tasks;
-    for (size_t task = 0; task < all.size(); ++task) {
-      const ModelAudit& audit = all[task].report.models[model];
-      if (audit.recognition) tasks[audit.recognition->contact_class].push_back(std::to_string(task + 1));
-    }
-    for (const auto& [found, in] : tasks) {
-      const std::string where = tasks.size() > 1 ? " in task " + Joined(in, " and ") : "";
+    const auto classes = ClassesOf(all, model);
+    for (const auto& [found, tasks] : classes) {
+      const std::string where = classes.size() > 1 ? " in task " + Joined(tasks, " and ") : "";
       members[found].push_back("`" + contacts[model] + "`" + where);
     }
   }

@@ -278,14 +278,13 @@ std::string FindingOnOthers(const Tasks& all) {
     gaps.emplace_back(all.others.SmallestGap(contact, {"ceres_lbfgs", "ceres_lm"}), contact);
   }
   std::ranges::sort(gaps);
-  std::string near, far;
+  std::vector<std::string> near, far;
   for (const auto& [gap, contact] : gaps) {
-    std::string& list = gap < kNearOptimum ? near : far;
-    list += (list.empty() ? "`" : ", `") + contact + "` (" + Format("%.2g", gap) + ")";
+    (gap < kNearOptimum ? near : far).push_back("`" + contact + "` (" + Format("%.2g", gap) + ")");
   }
   return "Of the formulations that the paper does not compare, Ceres comes within " + Format("%g", kNearOptimum) +
-         " of the optimum of task 3 with " + (near.empty() ? "none" : near) + (far.empty() ? "" : "; not with " + far) +
-         ". In brackets: the gap of the exact loss.";
+         " of the optimum of task 3 with " + (near.empty() ? "none" : Joined(near)) +
+         (far.empty() ? "" : "; not with " + Joined(far)) + ". In brackets: the gap of the exact loss.";
 }
 
 std::vector<std::string> FindingsOf(const Tasks& all) {

@@ -141,26 +141,12 @@ std::vector<CaptionedTable> TablesOf(const std::vector<Entry>& entries) {
     if (!entry.run.exact.ok) continue;
     const double gap = entry.run.exact.loss - entry.optimum;
     const Cell coloured = Cell(gap).WithTone(gap < 1e-5 ? Tone::kGood : gap < 1e-3 ? Tone::kWarning : Tone::kBad);
-    const char* end = TerminationToString(report.termination);
-    if (entry.reference == nullptr) {
-      free.AddRow({entry.scene.steps,
-                   entry.label,
-                   entry.run.exact.loss,
-                   coloured,
-                   report.work.iterations,
-                   1e3 * report.work.seconds,
-                   end});
-    } else {
-      bounded.AddRow({Describe(*entry.reference),
-                      entry.label,
-                      entry.run.exact.loss,
-                      coloured,
-                      entry.run.exact.events.size(),
-                      Largest(report, *entry.reference),
-                      report.work.iterations,
-                      1e3 * report.work.seconds,
-                      end});
-    }
+    const bool is_free = entry.reference == nullptr;
+    std::vector<Cell> row = {is_free ? Cell(entry.scene.steps) : Cell(Describe(*entry.reference)), entry.label};
+    row.insert(row.end(), {entry.run.exact.loss, coloured});
+    if (!is_free) row.insert(row.end(), {entry.run.exact.events.size(), Largest(report, *entry.reference)});
+    row.insert(row.end(), {report.work.iterations, 1e3 * report.work.seconds, TerminationToString(report.termination)});
+    (is_free ? free : bounded).AddRow(std::move(row));
   }
   return {{"strike",
            "Task 3 on 480 and 1000 steps, under exact dynamics: solvers by single shooting, and solvers in which "

@@ -31,8 +31,6 @@ int AuditExitCode(const Request& request, const AuditReport& report, std::size_t
 // cannot. Writes nothing without --output_dir.
 void WriteAuditFiles(const Request& request, const AuditReport& report);
 
-class Page;
-
 // Adds verdicts, gradients, errors against step and width, the motions under each model, and for each wrong model the
 // first contact that makes it wrong.
 void AddAuditSections(const Request& request, const AuditReport& audit, Page* page);

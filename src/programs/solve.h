@@ -48,8 +48,6 @@ NamedStudies StudiesOf(const SolvedRuns& solved);
 // Every solution as an NPZ file in --output_dir, if there is one. Throws OutputError.
 void WriteSolutions(const Request& request, const SolvedRuns& solved);
 
-class Page;
-
 // Adds the table of runs, certificates, replay, trajectories, controls and learning curves.
 void AddSolveSections(const Request& request, const SolvedRuns& solved, Page* page);
 // Writes the report of runs into the output folder, if there is one. Throws OutputError.
