@@ -58,9 +58,7 @@ class HybridReplay extends Player {
     this.drawing = svg('g', {transform: 'scale(1 -1)', stroke: '#24292f', fill: 'none', 'stroke-width': 0.006 * size});
     const picture = svg('svg', {viewBox: `${x0 - margin} ${-y0 - height - margin} ${width + 2 * margin} ${height + 2 * margin}`, role: 'img',
       'aria-label': 'replay of the motion', style: 'max-height: 60vh'}, this.drawing);
-    this.clock = element('output', {class: 'clock'});
-    this.slider = element('input', {type: 'range', min: 0, max: this.duration, step: this.duration / 1000, value: 0, 'aria-label': 'time',
-      oninput: () => this.seek(Number(this.slider.value))});
+    this.slider.max = this.duration;
     this.seek(0);
     this.element = element('div', {class: 'replay plot'}, picture, element('div', {class: 'buttons'}, this.playButton, this.clock),
       element('div', {class: 'line'}, this.slider));

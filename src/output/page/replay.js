@@ -29,13 +29,16 @@ function rounded(value, quantum) {
   return number(Number(value.toFixed(decimals)));
 }
 
-// A time from 0 to `duration` that goes on while it is played, and the button that starts and stops it. Classes that
-// extend this one have seek(time), which draws.
+// A time from 0 to `duration` that goes on while it is played, the button that starts and stops it, a slider and a clock.
+// Classes that extend this one have seek(time), which draws, and set `duration` and the slider's maximum to it.
 class Player {
   constructor() {
     this.time = 0;
     this.playing = false;
     this.playButton = element('button', {type: 'button', title: 'play', 'aria-label': 'play', onclick: () => this.toggle()}, 'Play');
+    this.slider = element('input', {type: 'range', min: 0, step: 'any', value: 0, 'aria-label': 'time',
+      oninput: () => this.seek(Number(this.slider.value))});
+    this.clock = element('output', {class: 'clock'});
   }
 
   // Seconds of the motion in a second.
@@ -115,12 +118,8 @@ class Replay extends Player {
       onpointermove: (event) => this.drag(event), onpointerup: () => this.release(true),
       onpointercancel: () => this.release(false),
     });
-    this.slider = element('input', {
-      type: 'range', min: 0, max: this.duration, step: 'any', value: 0, 'aria-label': 'time',
-      oninput: () => this.seek(Number(this.slider.value)),
-    });
+    this.slider.max = this.duration;
     this.ticks = element('canvas', {class: 'ticks', 'aria-hidden': 'true'});
-    this.clock = element('output', {class: 'clock'});
     const button = (label, words, act) => element('button', {type: 'button', title: words, 'aria-label': words, onclick: act}, label);
     this.speed = element('select', {'aria-label': 'speed'});
     for (let power = -6; power <= 3; ++power) {
