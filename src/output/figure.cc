@@ -9,6 +9,7 @@
 
 namespace saltus {
 
+void to_json(Json& json, const ModelStyle& style) { SALTUS_ADD_MEMBERS(&json, style, colour, dash, marker); }
 void to_json(Json& json, const Axis& axis) { SALTUS_ADD_MEMBERS(&json, axis, label, log, min, max); }
 void to_json(Json& json, const Series& series) {
   SALTUS_ADD_MEMBERS(&json, series, label, x, y, colour, dash, marker, line, width);

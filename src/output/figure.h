@@ -42,6 +42,8 @@ struct ModelStyle {
   Marker marker = Marker::kNone;
 };
 
+void to_json(Json& json, const ModelStyle& style);
+
 // Returns every name that has a style: "analytic" (black), then the contact models.
 const std::vector<ModelStyle>& ModelStyles();
 

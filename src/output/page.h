@@ -63,9 +63,10 @@ class Page {
   void AddReplay(Json replay, const std::string& caption) {
     Add("replay", {{"replay", std::move(replay)}, {"caption", caption}});
   }
-  // Adds a figure that the viewer makes from the results: a key of PLOTS in page/plot.js. Omitted if it has no data.
-  void AddPlot(const std::string& plot, const std::string& caption) {
-    Add("plot", {{"plot", plot}, {"caption", caption}});
+  // Adds a figure that the viewer makes from the results and `more`: a key of PLOTS in page/plot.js. Omitted if it has
+  // no data.
+  void AddPlot(const std::string& plot, const std::string& caption, Json more = Json::object()) {
+    Add("plot", {{"plot", plot}, {"caption", caption}, {"more", std::move(more)}});
   }
 
   // Adds the replay and the figure of a motion in the results of a hybrid system: that of the run with this number, or

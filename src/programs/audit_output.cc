@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <tuple>
 
 #include "audit/attribution/perturbed_flow.h"
@@ -265,97 +264,6 @@ Table SurrogateTable(const Scene& scene, const AuditReport& report) {
   return table;
 }
 
-// The lowest error shown. Errors of right gradients are rounding; below this line they would squeeze all others.
-constexpr double kLowestError = 1e-7;
-
-Panel RefinementPanel(const Scene& scene, const AuditReport& report, Quantity quantity) {
-  Panel panel{.title = std::string("by ") + QuantityToString(quantity),
-              .x = {.label = "time step (s)", .log = true},
-              .y = {.label = "relative error of the gradient", .log = true}};
-  double highest = 1;
-  for (const ModelAudit& audit : report.models) {
-    const QuantityStudy* study = audit.refinement ? audit.refinement->Find(quantity) : nullptr;
-    if (study == nullptr) continue;
-    std::vector<double> x = LevelValues(study->levels, &RefinementLevel::steps);
-    for (double& steps : x) steps = scene.duration / steps;
-    const std::vector<double> y = LevelValues(study->levels, &RefinementLevel::error);
-    for (const double error : y) highest = std::max(highest, error);
-    Series series = Series::ForModel(audit.gradient.contact, x, y);
-    // One label a model, whatever the panel.
-    const QuantityStudy* named = audit.refinement->Find(Quantity::kPosition);
-    const double order = std::abs(named->order) < 0.05 ? 0.0 : named->order;
-    series.label += named->verdict == Verdict::kRight ? " (right)" : Format(" (%.1f)", order);
-    panel.series.push_back(std::move(series));
-  }
-  panel.y.min = kLowestError;
-  panel.y.max = 2 * highest;
-  panel.reference_lines.push_back({.value = RefinementOptions().tolerance, .label = "right"});
-  return panel;
-}
-
-// The entry of a quantity in which gradient and wide differences of any model are farthest apart; -1 without sweeps.
-int TellingEntry(const AuditReport& report, Quantity quantity) {
-  int telling = -1;
-  double largest = -1;
-  for (const ModelAudit& audit : report.models) {
-    if (!audit.widths) continue;
-    for (size_t i = 0; i < audit.widths->sweeps.size(); ++i) {
-      const WidthSweep& sweep = audit.widths->sweeps[i];
-      if (sweep.quantity != quantity) continue;
-      const double miss = std::abs(sweep.gradient - sweep.wide);
-      const bool tells = sweep.finding != WidthFinding::kUndecided && sweep.finding != WidthFinding::kFarther;
-      if (!tells || miss <= largest) continue;
-      largest = miss;
-      telling = static_cast<int>(i);
-    }
-  }
-  return telling;
-}
-
-// Draws the error against the step, log-log: one panel for each of position, velocity and control, one line a model,
-// whose label has the order by position.
-Figure RefinementFigure(const Scene& scene, const AuditReport& report) {
-  Figure figure;
-  figure.title = scene.name + ": error against the exact gradient (order by position)";
-  for (const Quantity quantity : kShown) {
-    Panel panel = RefinementPanel(scene, report, quantity);
-    if (!panel.series.empty()) figure.panels.push_back(std::move(panel));
-  }
-  return figure;
-}
-
-// Draws slope against width: for each of position, velocity and control the entry on which differences contradict a
-// model most. Level lines are the exact values.
-Figure WidthFigure(const Scene& scene, const AuditReport& report) {
-  Figure figure;
-  figure.title = scene.name + ": differences of the loss, from narrower to wider than a step";
-  for (const Quantity quantity : kShown) {
-    const int entry = TellingEntry(report, quantity);
-    if (entry < 0) continue;
-    Panel panel{.x = {.label = "width / grid width", .log = true}};
-    // Single differences across an impact that changes step would hide the levels.
-    double low = std::numeric_limits<double>::infinity(), high = -low;
-    for (const ModelAudit& audit : report.models) {
-      if (!audit.widths || !audit.widths->ok()) continue;
-      const WidthSweep& sweep = audit.widths->sweeps[entry];
-      panel.title = "d loss / d " + sweep.entry;
-      std::vector<double> x = sweep.widths;
-      for (double& width : x) width /= sweep.grid_width;
-      panel.series.push_back(Series::ForModel(audit.gradient.contact, x, sweep.slopes));
-      if (sweep.exact && panel.reference_lines.empty()) {
-        panel.reference_lines.push_back({.value = *sweep.exact, .label = "exact"});
-      }
-      low = std::min({low, sweep.narrow, sweep.wide});
-      high = std::max({high, sweep.narrow, sweep.wide});
-    }
-    const double size = std::max(std::abs(low), std::abs(high));
-    const double margin = size > 0 ? std::max(0.25 * (high - low), 1e-6 * size) : 1;
-    panel.y = {.label = "slope", .min = low - margin, .max = high + margin};
-    figure.panels.push_back(std::move(panel));
-  }
-  return figure;
-}
-
 bool HasWidths(const AuditReport& report) {
   return std::ranges::any_of(report.models, [](const ModelAudit& audit) { return audit.widths.has_value(); });
 }
@@ -506,18 +414,20 @@ void AddAuditSections(const Request& request, const AuditReport& audit, Page* pa
   AddMotions(request, audit, page);
   if (request.options.surrogate) return;
   AddWrongSteps(request, audit, page);
-  const Figure refinement = RefinementFigure(request.scene, audit);
-  const bool swept = HasWidths(audit);
-  if (refinement.panels.empty() && !swept) return;
+  const bool refined = std::ranges::any_of(
+      audit.models, [](const ModelAudit& model) { return model.refinement && !model.refinement->quantities.empty(); });
+  if (!refined && !HasWidths(audit)) return;
   page->AddHeading("Errors by step and width");
-  if (!refinement.panels.empty()) {
-    page->AddFigure(refinement, "Relative error of the gradient as the time step shrinks.");
-  }
-  if (!swept) return;
-  const Figure widths = WidthFigure(request.scene, audit);
-  if (!widths.panels.empty()) {
-    page->AddFigure(widths, "Finite differences of the loss, from narrower to wider than a time step.");
-  }
+  Json styles = Json::object();
+  for (const ModelAudit& model : audit.models) styles[model.gradient.contact] = StyleOf(model.gradient.contact);
+  page->AddPlot("refinement",
+                "Relative error of the gradient as the time step shrinks.",
+                {{"duration", request.scene.duration}, {"right", RefinementOptions().tolerance}, {"styles", styles}});
+  page->AddPlot(
+      "widths",
+      "Finite differences of the loss, from narrower to wider than a time step.",
+      {{"untelling", {WidthFindingToString(WidthFinding::kUndecided), WidthFindingToString(WidthFinding::kFarther)}},
+       {"styles", std::move(styles)}});
 }
 
 }  // namespace saltus

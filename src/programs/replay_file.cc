@@ -89,10 +89,6 @@ class ReplayReader : InputReader {
     if (!path.times.empty()) scene().duration = std::min(scene().duration, path.times.back());
   }
 
-  void CheckRadius(const Body& disc, const std::string& key) const {
-    if (!(disc.radius > 0) || !std::isfinite(disc.radius)) Fail(key, "a radius that is positive");
-  }
-
   // Reads the discs and the walls. Names, and whether a disc is fixed and where a polygon is solid, may be missing.
   void ReadDrawn(const Json& document) {
     const auto bodies = document.find("bodies");
@@ -118,7 +114,6 @@ class ReplayReader : InputReader {
         VisitDrawnFields(thing, [&](const std::string& key, auto& value) {
           if (item.contains(key)) Read(item[key], place + "." + key, &value);
         });
-        if constexpr (std::is_same_v<T, Body>) CheckRadius(thing, place);
       }
     });
     if (const auto error = ValidateStructure(scene())) throw InputError(where() + ": " + error->ToString());

@@ -110,8 +110,8 @@ class Page {
   }
 
   // A figure of the results, if there is anything to draw.
-  plot({plot, caption}) {
-    const figure = PLOTS[plot](this.data, this.replays[0]);
+  plot({plot, caption, more}) {
+    const figure = PLOTS[plot](this.data, this.replays[0], more);
     if (figure) this.figure({figure, caption});
   }
 

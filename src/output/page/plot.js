@@ -273,11 +273,17 @@ function drawFigure({title, panels}) {
 // ---- Figures that are drawn from the results
 
 const seriesOf = (label, {colour, dash}, x, y) => ({label, x, y, colour, dash, marker: 'none', line: true, width: 2});
+const modelSeries = (label, style, x, y) => ({...seriesOf(label, style, x, y), marker: style.marker});
 const panelOf = (title, x, y, series, lines = []) => ({title, x, y, series, reference_lines: lines, circles: [], outlines: [], half_planes: []});
 
 const timeLines = (times) => times.map((value) => ({value, vertical: true, label: '', colour: AXIS, dash: 'dotted'}));
 const impactLines = ({touches}) => timeLines(touches.slice(0, 8).map(({begin}) => begin));
 const boundLines = (bounds) => bounds.map((value) => ({value, vertical: false, label: 'bound', colour: '#cf222e', dash: 'dashed'}));
+
+const levelLine = (value, label) => ({value, vertical: false, label, colour: '#000000', dash: 'dashed'});
+
+const QUANTITIES = ['position', 'velocity', 'control'];
+const LOWEST_ERROR = 1e-7;  // errors of right gradients are rounding; below this line they would squeeze all others
 
 const PLOTS = {
   // The loss that each solver has minimized, by iteration. Long lists of numbers are thinned (output/page.h).
@@ -289,6 +295,44 @@ const PLOTS = {
     });
     const log = curves.every(({y}) => y.every((value) => value > 0));
     return curves.length > 0 && {panels: [panelOf('', {label: 'iteration'}, {label: 'loss under the contact model', log}, curves)]};
+  },
+
+  // The relative error of each model's gradient by each quantity over the time step. Labels have the order by position.
+  refinement({results}, _, {duration, right, styles}) {
+    const {scene, audits} = results.audit ?? results;
+    const panels = QUANTITIES.flatMap((name) => {
+      const curves = audits.flatMap(({contact, refinement}) => {
+        const [study, first] = [name, 'position'].map((one) => refinement?.quantities.find(({quantity}) => quantity === one));
+        if (!study) return [];
+        const order = first.verdict === 'right' ? 'right' : (Math.abs(first.order) < 0.05 ? 0 : first.order).toFixed(1);
+        return [modelSeries(`${contact} (${order})`, styles[contact], study.steps.map((steps) => duration / steps), study.error)];
+      });
+      if (curves.length === 0) return [];
+      const max = 2 * Math.max(1, ...curves.flatMap(({y}) => y));
+      return [panelOf(`by ${name}`, {label: 'time step (s)', log: true},
+        {label: 'relative error of the gradient', log: true, min: LOWEST_ERROR, max}, curves, [levelLine(right, 'right')])];
+    });
+    return panels.length > 0 && {title: `${scene}: error against the exact gradient (order by position)`, panels};
+  },
+
+  // Slope of the loss over the width of differences, for the entry of each quantity on which they contradict a model most.
+  widths({results}, _, {untelling, styles}) {
+    const {scene, audits} = results.audit ?? results, swept = audits.filter(({width_sweep: sweep}) => sweep);
+    const panels = QUANTITIES.flatMap((name) => {
+      const tells = ({quantity, finding}) => quantity === name && !untelling.includes(finding);
+      const telling = swept.flatMap(({width_sweep: {sweeps}}) => sweeps.filter(tells)), miss = ({gradient, wide}) => Math.abs(gradient - wide);
+      if (telling.length === 0) return [];
+      const {entry} = telling.reduce((most, one) => (miss(one) > miss(most) ? one : most));
+      const shown = swept.map(({contact, width_sweep: {sweeps}}) => ({contact, ...sweeps.find((one) => one.quantity === name && one.entry === entry)}));
+      // Single differences across an impact that changes step would hide the levels.
+      const levels = shown.flatMap(({narrow, wide}) => [narrow, wide]), low = Math.min(...levels), high = Math.max(...levels);
+      const size = Math.max(Math.abs(low), Math.abs(high)), margin = size > 0 ? Math.max(0.25 * (high - low), 1e-6 * size) : 1;
+      const exact = shown.map((one) => one.exact).filter((value) => typeof value === 'number').slice(0, 1);
+      return [panelOf(`d loss / d ${entry}`, {label: 'width / grid width', log: true}, {label: 'slope', min: low - margin, max: high + margin},
+        shown.map(({contact, widths, slopes, grid_width: grid}) => modelSeries(contact, styles[contact], widths.map((width) => width / grid), slopes)),
+        exact.map((value) => levelLine(value, 'exact')))];
+    });
+    return panels.length > 0 && {title: `${scene}: differences of the loss, from narrower to wider than a step`, panels};
   },
 
   // Positions and speeds of up to six discs over time, of the first motion that is shown, and its impacts.
