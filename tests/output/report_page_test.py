@@ -123,6 +123,27 @@ class Viewer(Pages):
         self.assertEqual(self.js("return document.querySelectorAll('figure').length"), 0)
 
 
+    # Errors over the step, with the order by position in the label, and the entry that differences contradict most.
+    def test_audits_are_drawn_by_step_and_width(self):
+        def study(quantity, order):
+            return {"quantity": quantity, "order": order, "verdict": "wrong", "steps": [10, 20], "error": [0.5, 0.25]}
+
+        def sweep(entry, wide, finding="agrees with no differences"):
+            return {"quantity": "position", "entry": entry, "gradient": 1.0, "narrow": 1.0, "wide": wide, "exact": 2.0,
+                    "finding": finding, "grid_width": 0.5, "widths": [0.5, 1.0], "slopes": [1.0, wide]}
+        sweeps = [sweep("px a", 2.0), sweep("py a", 3.0), sweep("px b", 9.0, "undecided")]
+        studies = [study("position", 1.04), study("velocity", 0.0)]
+        audits = [{"contact": "lcp", "refinement": {"quantities": studies}, "width_sweep": {"sweeps": sweeps}}, {"contact": "event"}]
+        styles = {name: {"colour": "#123456", "dash": "solid", "marker": "circle"} for name in ("lcp", "event")}
+        self.show({"kind": "plot", "plot": "refinement", "caption": "c", "more": {"duration": 2, "right": 1e-6, "styles": styles}},
+                  {"kind": "plot", "plot": "widths", "caption": "c", "more": {"untelling": ["undecided"], "styles": styles}},
+                  results={"scene": "s", "audits": audits})
+        labels = self.js("return [...document.querySelectorAll('.plot svg[role=img]')].map((panel) => panel.getAttribute('aria-label'))")
+        over_step = "relative error of the gradient against time step (s); lcp (1.0) from (0.200, 0.500) to (0.100, 0.250), right at 0.00000100."
+        self.assertEqual(labels, [f"by position: {over_step}", f"by velocity: {over_step}",
+                                  "d loss / d py a: slope against width / grid width; lcp from (1.00, 1.00) to (2.00, 3.00), exact at 2.00."])
+
+
 class Reports(Pages):
     def test_reports_of_eight_scenes(self):
         gas = run("saltus_scene", "--kind=gas", "--discs=100", "--seed=1").stdout

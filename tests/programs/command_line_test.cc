@@ -21,6 +21,7 @@ namespace {
 using nlohmann::json;
 using testing::Contains;
 using testing::ContainsRegex;
+using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::Not;
 
@@ -215,6 +216,17 @@ TEST(CommandLine, MoreThreadsThanCoresAreNoMatterOfNote) {
       SceneFlag("bounce_once"));
   EXPECT_EQ(outcome.exit_code, 0);
   EXPECT_EQ(outcome.errors, "");
+}
+
+TEST(CommandLine, SimulatorsAreThoseOfFlagFilesAndOfTheCommandLine) {
+  const std::string file = TempFileWith("simulators", "--simulate=a=false\n--simulate=b=false\n");
+  const Outcome outcome = RunProgram("saltus_audit --json --progress=none --flagfile=" + file +
+                                     " --simulate c=false -simulate=d=false" + SceneFlag("bounce_once"));
+  EXPECT_EQ(outcome.exit_code, 1) << outcome.errors;
+  std::vector<std::string> names;
+  const json document = json::parse(outcome.output);
+  for (const json& audit : document["audits"]) names.push_back(audit["contact"]);
+  EXPECT_THAT(names, ElementsAre("a", "b", "c", "d"));
 }
 
 // A flag that would be ignored is an error that names who takes it, however it was given.
