@@ -1022,6 +1022,7 @@ int RecordedSystem::PieceAlong(const ModePoint& point, int guard) const {
 }
 
 bool RecordedSystem::IsOn(int mode, int guard) const {
+  if (!IsSwitch(mode, guard)) return false;
   const Evaluated& piece = at(mode);
   const int number = piece.switches[guard - (num_guards(mode) - num_switches(mode))].number;
   return !switches_[piece.base]->IsFloor(number) && piece.sides[number] == 0;

@@ -354,8 +354,9 @@ bool RolloutRun::StaysOnSwitch(const FlowStep& ahead, int guard, double fastest)
 
 // Finds the piece of the mode in which the motion goes on, and leaves its slope and guards in at_: a switch below zero,
 // or at zero and falling, takes its other side. If both sides point at the switch, the motion stays on it if the flow
-// there keeps it.
-bool RolloutRun::ChooseSwitchSides() {
+// there keeps it. A jump of the control turns no switch that does not read it: one that is about to fall through zero
+// does so in the step behind, as an event.
+bool RolloutRun::ChooseSwitchSides(Entry entry) {
   const int mode = at_.mode;
   double fastest = 0;
   std::vector<int> seen;
@@ -377,7 +378,9 @@ bool RolloutRun::ChooseSwitchSides() {
       using Side = HybridFunctions::Side;
       const bool stays =
           on && functions_.AdjacentPiece(here, guard, Side::kSliding) < 0 && StaysOnSwitch(here, guard, fastest);
-      if (on ? stays : rises) continue;
+      const bool waits = entry == Entry::kControlJump && at_.mode == mode && standing == GuardStatus::kFalling &&
+                         at_.armed[guard] != 0 && !functions_.ReadsControl(at_.mode, guard);
+      if (on ? stays : rises || waits) continue;
       turns = guard;
       next = functions_.AdjacentPiece(here, guard, !on ? Side::kOther : rises ? Side::kAbove : Side::kBelow);
     }
@@ -567,7 +570,7 @@ bool RolloutRun::EnterMode(Entry entry) {
   for (;;) {
     const int mode = at_.mode;
     const bool switches = functions_.num_switches(mode) > 0;
-    if (switches ? !ChooseSwitchSides() : !UpdateSlope()) return false;
+    if (switches ? !ChooseSwitchSides(entry) : !UpdateSlope()) return false;
     if (at_.mode != mode && entry == Entry::kControlJump) entry = Entry::kAfterReset;  // with other guards
     if (entry == Entry::kStart) Remark(functions_.ReasonNoDerivative(StepFrom(0), -1));
     const FlowStep ahead = StepFrom(tape_.step);
@@ -898,9 +901,30 @@ RolloutRun::PendingEvent RolloutRun::EarliestEvent(const FlowStep& step, const s
   return earliest;
 }
 
+// Whether a guard is itself a switch where both are at zero: in all motions nearby they reach zero together, to first
+// order, as the derivatives of both times, -(gradient of the guard) / rate, are the same; and the guard goes on falling
+// on the other side of the switch, unlike |x|, which only touches zero.
+bool RolloutRun::IsItsSwitch(int guard, double rate, int its_switch, double rate_of_switch) const {
+  constexpr double kSame = 1e-12;  // relative
+  const int columns = system_.state_size(at_.mode) + 1 + system_.num_parameters() + system_.num_controls();
+  Eigen::VectorXd of_guard(columns), of_switch(columns);
+  FlowStep here = StepFrom(0);
+  functions_.GuardGradient(here, guard, of_guard.data());
+  functions_.GuardGradient(here, its_switch, of_switch.data());
+  of_guard /= rate;
+  of_switch /= rate_of_switch;
+  if (!((of_guard - of_switch).lpNorm<Eigen::Infinity>() <= kSame * of_guard.lpNorm<Eigen::Infinity>())) return false;
+  here.mode = functions_.AdjacentPiece(here, its_switch, HybridFunctions::Side::kOther);
+  if (here.mode < 0) return false;
+  std::vector<double> slope(system_.state_size(here.mode));
+  functions_.Flow(here, slope.data());
+  return search_.GuardAt(here, slope.data(), guard).rate < 0;
+}
+
 // The guards that reach zero with the one that is due, where at_ is: within the errors of the integration. `first` is
 // the guard that comes first, of those that rounding does not separate from the one that is due: a switch if there is
-// one, as guards are then what they are on its other side, and else that of the smallest number.
+// one, as guards are then what they are on its other side, and else that of the smallest number. A guard that is itself
+// the switch comes before it: its reset leads to the mode where the motion has passed the switch.
 std::vector<int> RolloutRun::TiedGuards(const PendingEvent& due, int* first) {
   const FlowStep here = StepFrom(0);
   const double elapsed = Elapsed(at_.t);
@@ -923,7 +947,11 @@ std::vector<int> RolloutRun::TiedGuards(const PendingEvent& due, int* first) {
     }
     if (std::abs(value.value) > error.rounding - value.rate * rounding_of_due) continue;
     const bool turns = functions_.IsSwitch(at_.mode, guard), other_turns = functions_.IsSwitch(at_.mode, *first);
-    if (turns == other_turns ? guard < *first : turns) *first = guard;
+    const double rate = all[*first].rate;
+    const bool precedes = turns == other_turns ? guard < *first
+                          : turns              ? !IsItsSwitch(*first, rate, guard, value.rate)
+                                               : IsItsSwitch(guard, value.rate, *first, rate);
+    if (precedes) *first = guard;
   }
   return tied;
 }
