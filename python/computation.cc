@@ -45,10 +45,11 @@ py::object Computation::StoppedBy() const {
 
 bool Computation::Stopped() {
   if (stopped_) return true;
+  const bool is_caller = std::this_thread::get_id() == caller_;
+  if (!is_caller && seconds_ == 0) return false;  // without the cost of the clock
   const auto now = std::chrono::steady_clock::now();
   if (seconds_ > 0 && std::chrono::duration<double>(now - begin_).count() >= seconds_) return stopped_ = true;
-  if (std::this_thread::get_id() != caller_) return false;
-  if (now < next_look_) return false;
+  if (!is_caller || now < next_look_) return false;
   next_look_ = now + kLook;
   WithPython([] {
     if (PyErr_CheckSignals() != 0) throw py::error_already_set();

@@ -541,16 +541,20 @@ class Problem {
         if (work.shows()) work.Add(1);
         const std::span<const double> point(from + i * size, static_cast<std::size_t>(size));
         double* const row = gradient == nullptr ? nullptr : gradient + i * size;
-        HybridInput input = first.InputAt(point);
-        input.mode = std::get<0>(guess);
+        int mode = std::get<0>(guess);
         std::string& why = reasons[i];
-        if (mechanical_) why = ReasonNoStart(*mechanical_, &input);
+        if (mechanical_) {
+          HybridInput input = first.InputAt(point);
+          input.mode = mode;
+          why = ReasonNoStart(*mechanical_, &input);
+          mode = input.mode;
+        }
         if (why.empty()) {
-          auto known = shootings[thread].find(input.mode);
+          auto known = shootings[thread].find(mode);
           if (known == shootings[thread].end()) {
             HybridProblem from_mode = problem;
-            from_mode.guess.mode = input.mode;
-            known = shootings[thread].emplace(input.mode, from_mode).first;
+            from_mode.guess.mode = mode;
+            known = shootings[thread].emplace(mode, from_mode).first;
             known->second.set_accurate(true);
           }
           known->second.simulator().ResetStepChoice();

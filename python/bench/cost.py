@@ -3,7 +3,7 @@
 
 What the gradient of task 3 costs from Python, beside C++ (the program bench/gradient_cost.cc): one call into arrays that
 are there, a batch of 10 000, and memory over 10^6 calls; and what that of the SLIP hopper costs, whose functions are recorded
-in Python. Least times of several rounds, C++ and Python in turns; times of
+in Python, and 10 000 bouncing balls in one call of a HybridBatch. Least times of several rounds, C++ and Python in turns; times of
 calls are CPU times of the thread, so that a busy machine disturbs little.
 """
 
@@ -94,6 +94,29 @@ def hopper_time():
     return least(measure)
 
 
+def balls_time(threads):
+    """us by the clock of each loss and gradient of bouncing balls in a HybridBatch, whose heights and restitutions differ.
+
+    The system is BouncingBallProblem() of problems/hybrid/bouncing_ball.h.
+    """
+    ball = saltus.HybridSystem(
+        states={"flight": ["y", "v"]}, controls=["f"], parameters=["g", "e"],
+        flow={"flight": lambda x, u, p: [x[1], u[0] - p[0]]}, guards={"flight": {"ground": lambda x: x[0]}},
+        resets={"flight": {"ground": lambda x, p: ("flight", [0, -p[1] * x[1]])}})
+    problem = saltus.HybridProblem(ball, mode="flight", initial=[50, 0], parameters=[9.8, 0.98], duration=15,
+                                   costs=[saltus.terminal([20.0, None])])
+    batch = saltus.HybridBatch(problem, optimize=["y", "e"], threads=threads)
+    part = np.arange(POINTS) / POINTS
+    points = np.stack([50 + 10 * part, 0.8 + 0.15 * part], axis=1)
+
+    def measure():
+        start = time.perf_counter()
+        batch.loss_and_gradient(points)
+        return 1e6 * (time.perf_counter() - start) / POINTS
+
+    return least(measure, 3)
+
+
 def growth(scene, contact):
     """Bytes of memory that each of a million calls leaves."""
     simulation = saltus.Simulation(scene, contact)
@@ -117,7 +140,8 @@ def main():
             done = subprocess.run([program, contact, str(POINTS)], capture_output=True, text=True, check=True)
             cpp.append(json.loads(done.stdout))
             batches = [batch_time(scene, contact, 1 + i, time.perf_counter) for i in range(len(cpp[-1]["batch"]))]
-            python.append({"hopper": hopper_time(), "call": call_time(scene, contact), "batch": batches,
+            balls = [balls_time(1 + i) for i in range(len(cpp[-1]["balls"]))]
+            python.append({"hopper": hopper_time(), "call": call_time(scene, contact), "batch": batches, "balls": balls,
                            "batch_cpu": batch_time(scene, contact, 1, time.thread_time)})
         best = {key: [min(run[key] for run in runs) for runs in (cpp, python)] for key in ("hopper", "call", "batch_cpu")}
         there, here = best["hopper"]
@@ -128,10 +152,11 @@ def main():
         there, here = best["batch_cpu"]
         print(f"{contact}: of a batch of {POINTS}, one thread's CPU: {there:.2f} us in C++, {here:.2f} us from Python: "
               f"{100 * there / here:.1f} % of the throughput")
-        for i in range(len(cpp[0]["batch"])):
-            there, here = (min(run["batch"][i] for run in runs) for runs in (cpp, python))
-            print(f"{contact}: {i + 1} threads, by the clock: {1e6 / there:.0f} a second in C++, {1e6 / here:.0f} from "
-                  f"Python: {100 * there / here:.1f} %")
+        for key, name in {"batch": contact, "balls": "bouncing balls"}.items():
+            for i in range(len(cpp[0][key])):
+                there, here = (min(run[key][i] for run in runs) for runs in (cpp, python))
+                print(f"{name}: {i + 1} threads, by the clock: {1e6 / there:.0f} a second in C++, {1e6 / here:.0f} from "
+                      f"Python: {100 * there / here:.1f} %")
         print(f"{contact}: a million calls leave {growth(scene, contact):.3f} bytes each", flush=True)
 
 

@@ -309,3 +309,57 @@ def remark_of_a_solve(flow, reset, guard, initial):
 def test_an_event_near_a_jump_of_the_control(flow, reset, kink):
     reason = remark_of_a_solve(flow, reset, lambda x: x[0], [1.0004, -1.0, 0.0])
     assert ("where the control jumps and the loss has a kink" in reason) == kink, reason
+
+
+def thrown_ball(apex, reset=lambda x: x):
+    """A ball with drag v|v| that bounces; its apex, where the drag has its switch, may end a mode of its own."""
+    flow = lambda x, u, p: [x[1], -9.81 - p[0] * x[1] * abs(x[1]) + u[0]]
+    modes = ("up", "down") if apex else ("up",)
+    guards = {"down": {"ground": lambda x: x[0]}, "up": {"apex": lambda x: x[1]} if apex else {"ground": lambda x: x[0]}}
+    resets = {"down": {"ground": lambda x: ("up", [x[0], -0.8 * x[1]])},
+              "up": {"apex": lambda x: ("down", reset(x))} if apex else {"ground": lambda x: ("up", [x[0], -0.8 * x[1]])}}
+    system = saltus.HybridSystem(states={mode: ["y", "v"] for mode in modes}, controls=["a"], parameters=["c"],
+                                 flow={mode: flow for mode in modes}, guards={mode: guards[mode] for mode in modes},
+                                 resets={mode: resets[mode] for mode in modes})
+    return saltus.HybridProblem(system, mode="up", initial=[0.1, 5.0], parameters=[0.1], duration=1.5,
+                                control=np.zeros((6, 1)), costs=[saltus.terminal([1.0, None]), saltus.effort(0.01)])
+
+
+def test_a_guard_that_is_the_switch_of_the_flow_has_one_event_and_the_derivatives_of_the_motion_without_it():
+    with_apex = saltus.loss_and_gradient(thrown_ball(apex=True))
+    without = saltus.loss_and_gradient(thrown_ball(apex=False))
+    assert with_apex.remark == ""
+    assert_allclose(with_apex.loss, without.loss, rtol=1e-10)
+    assert_allclose(with_apex.gradient["control"], without.gradient["control"], rtol=1e-9)
+    assert_allclose(with_apex.gradient["initial"], without.gradient["initial"], rtol=1e-9)
+    events = saltus.rollout(thrown_ball(apex=True)).events
+    assert [event[2] for event in events] == ["apex", "ground", "apex"]
+
+
+@pytest.mark.parametrize("speed", [3.0, 5.0, 5.37])  # after which rounding leaves the velocity above zero, or at zero
+@pytest.mark.parametrize("condition", [lambda v: v > 0, lambda v: v >= 0, lambda v: v < 0])
+def test_a_reset_that_jumps_at_its_own_event_has_a_remark(speed, condition):
+    problem = thrown_ball(apex=True, reset=lambda x: [x[0] + saltus.where(condition(x[1]), 0.1, 0.0), x[1]])
+    problem.initial = [0.1, speed]
+    assert "the reset of guard 'apex' jumps at its event at t = " in saltus.rollout(problem).remark
+    # A condition on a number that is away from its jump is no reason for a remark.
+    beside = thrown_ball(apex=True, reset=lambda x: [x[0] + saltus.where(condition(x[1] - 1), 0.1, 0.0), x[1]])
+    assert saltus.rollout(beside).remark == ""
+
+
+@pytest.mark.parametrize("solver", ["ceres_phases", "auto"])
+def test_phases_may_end_at_a_guard_that_is_the_switch_of_the_flow(solver):
+    with_apex = saltus.solve(thrown_ball(apex=True), solver=solver)
+    without = saltus.solve(thrown_ball(apex=False), solver=solver)
+    assert with_apex.termination == "converged", with_apex.reason
+    assert with_apex.loss <= without.loss * (1 + 1e-8)
+
+
+@pytest.mark.parametrize("intervals", [2, 3])
+def test_a_switch_where_the_control_jumps_is_a_switch(intervals):
+    system = saltus.HybridSystem(states={"m": ["x", "y"]}, controls=["u"],
+                                 flow={"m": lambda x, u: [1, saltus.where(x[0] > 0.5, 2 * x[0], x[0]) + u[0]]})
+    control = np.linspace(0.1, 0.3, intervals)[:, None]
+    found = saltus.rollout(saltus.HybridProblem(system, mode="m", initial=[0, 0], duration=1.0, control=control))
+    assert_allclose([time for time, *_ in found.switches], [0.5], rtol=1e-12)
+    assert_allclose(found.final, [1, 0.125 + 0.75 + 0.2], rtol=1e-12)

@@ -329,6 +329,7 @@ class HybridSimulator::Impl {
   // others need to be. The first division is one of the longest steps, which resolves what a change does nearby as
   // well.
   bool DivideAtFew(const RolloutRun& of) {
+    if (!divides_early) return false;
     const HiddenChanges changes = FindHidden(of, Changes::kAll);
     if (changes.steps == 0 || changes.steps * kFewPlaces > of.tape().num_nodes || changes.unbounded) return false;
     RolloutRun fewest(system, options);
@@ -338,10 +339,15 @@ class HybridSimulator::Impl {
     return Divide(changes);
   }
 
-  // Chooses the number of steps, and divides control intervals where changes hide within them.
+  // Chooses the number of steps, and divides control intervals where changes hide within them. Where that leads to no
+  // motion, as few steps have hidden most of the changes, no division is made before uniform steps have been tried.
   bool ChooseSteps() {
     for (;;) {
-      if (const std::optional<bool> found = ChooseNumber()) return *found;
+      const std::optional<bool> found = ChooseNumber();
+      if (!found) continue;
+      if (*found || !divides_early || options.divisions == given) return *found;
+      divides_early = false;
+      options.divisions = given;
     }
   }
 
@@ -382,6 +388,10 @@ class HybridSimulator::Impl {
       if (2 * count > kMostSteps) {
         if (end == RolloutEnd::kDone) {
           if (finer) why = ReasonSlowConvergence(errors, count, *finer, *run);
+          if (finer && why.empty() && !finer->unresolved().what.empty()) {
+            why = finer->unresolved().what + "; at most " + std::to_string(kMostSteps) +
+                  " steps are tried: shorten the duration";
+          }
           if (why.empty()) {
             why = "an explicit method needs more than " + std::to_string(kMostSteps) +
                   " steps to integrate the flow to the tolerance; the system may be stiff" + kOfStiff;
@@ -567,6 +577,44 @@ class HybridSimulator::Impl {
     return ties;
   }
 
+  // Whether the reset of an event jumps along the flow where its guard is zero, so that rounding decides on which side
+  // of the jump it is evaluated: its values just before and just behind the event differ, and do not approach each
+  // other.
+  bool JumpsAtItsEvent(const TapeEntry& entry) const {
+    constexpr double kBeside = 1e-8, kNearer = 1e-9;   // of the duration
+    constexpr double kChange = 1e-10, kRemains = 0.5;  // of the largest state, and of the difference at kBeside
+    const HybridFunctions& f = system.functions();
+    if (entry.kind != TapeEntry::Kind::kReset || f.IsSwitch(entry.mode, entry.guard) || f.CreatesModes()) return false;
+    const int n = system.state_size(entry.mode);
+    const double* u = input.control.data() + static_cast<std::ptrdiff_t>(entry.interval) * system.num_controls();
+    const double* x = &run->tape().numbers[entry.x];
+    std::vector<double> slope(n), beside(n), after(f.most_states());
+    f.Flow({entry.mode, entry.t, x, u, input.parameters.data()}, slope.data());
+    const auto reset_at = [&](double part, int* mode) {
+      const double later = part * input.duration;
+      for (int i = 0; i < n; ++i) beside[i] = x[i] + later * slope[i];
+      const int next =
+          f.Reset({entry.mode, entry.t + later, beside.data(), u, input.parameters.data()}, entry.guard, after.data());
+      *mode = next < 0 || next >= system.num_modes() ? -1 : f.BaseMode(next);
+      return *mode < 0 ? std::vector<double>() : std::vector(after.data(), after.data() + system.state_size(next));
+    };
+    double difference[2] = {}, largest = 0;
+    for (const int i : {0, 1}) {
+      const double part = i == 0 ? kBeside : kNearer;
+      int before = 0, behind = 0;
+      const std::vector<double> a = reset_at(-part, &before), b = reset_at(part, &behind);
+      if (before != behind) {
+        difference[i] = std::numeric_limits<double>::infinity();
+        continue;
+      }
+      for (std::size_t k = 0; k < a.size(); ++k) {
+        difference[i] = std::max(difference[i], std::abs(b[k] - a[k]));
+        largest = std::max(largest, std::abs(a[k]));
+      }
+    }
+    return difference[0] > kChange * largest && difference[1] >= kRemains * difference[0];
+  }
+
   static bool IsFinite(const std::vector<std::vector<double>>& rows) { return std::ranges::all_of(rows, AllFinite); }
   static bool IsFinite(const HybridSensitivity& by) {
     return AllFinite(by.final_state) && IsFinite(by.nodes) && IsFinite(by.after) && IsFinite(by.times);
@@ -582,6 +630,7 @@ class HybridSimulator::Impl {
   HybridOptions options;
   const std::vector<double> given;  // options.divided, before any are chosen
   int steps;                        // in a control interval; 0: to be chosen
+  bool divides_early = true;        // DivideAtFew() may divide
   double reached = 0;               // the error when they were chosen
   HybridInput input;                // of the last rollout, with zeros where it has no control
   bool done = false;
@@ -710,6 +759,14 @@ std::string HybridSimulator::ReasonNotDifferentiable() const {
         {(is_switch ? "switch '" : "guard '") + functions.GuardName(grazing.mode, grazing.guard) + "' grazes zero",
          grazing.time,
          is_switch ? "" : ": it touches zero and returns, and an event happens only where it falls through zero"});
+  }
+  for (const TapeEntry& entry : run.tape().entries) {
+    if (!impl_->JumpsAtItsEvent(entry)) continue;
+    remarks.push_back(
+        {"the reset of guard '" + functions.GuardName(entry.mode, entry.guard) + "' jumps at its event",
+         entry.t,
+         ", and rounding decides on which side of the jump it is: let it decide by a mode, or by a number "
+         "that is away from the jump"});
   }
   const std::vector<HybridTie>& ties = impl_->Ties();
   for (const HybridTie& tie : ties) {

@@ -5,6 +5,7 @@
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace saltus {
 namespace {
@@ -54,9 +55,35 @@ double BalancedNorm(const std::vector<Entry>& matrix, int size) {
   return norm;
 }
 
+void AddProduct(const std::vector<Entry>& matrix, const double* by, double* out) {
+  for (const Entry& entry : matrix) out[entry.row] += entry.value * by[entry.column];
+}
+
 void Multiply(const std::vector<Entry>& matrix, const double* by, int size, double* out) {
   std::fill_n(out, size, 0.0);
-  for (const Entry& entry : matrix) out[entry.row] += entry.value * by[entry.column];
+  AddProduct(matrix, by, out);
+}
+
+// Returns A^(k-1) / k! for k = 2, 3, ... below the power of A that is zero.
+std::vector<std::vector<Entry>> TermsOfNilpotent(const std::vector<Entry>& matrix, int size, int nilpotent) {
+  Eigen::MatrixXd a = Eigen::MatrixXd::Zero(size, size), term = Eigen::MatrixXd::Identity(size, size);
+  for (const Entry& entry : matrix) a(entry.row, entry.column) = entry.value;
+  std::vector<std::vector<Entry>> terms;
+  for (int k = 2; k <= nilpotent; ++k) {
+    term = (a * term / k).eval();
+    std::vector<Entry>& entries = terms.emplace_back();
+    for (int row = 0; row < size; ++row) {
+      for (int column = 0; column < size; ++column) {
+        if (term(row, column) != 0) entries.push_back({row, column, term(row, column)});
+      }
+    }
+  }
+  return terms;
+}
+
+std::vector<Entry> Transposed(std::vector<Entry> matrix) {
+  for (Entry& entry : matrix) std::swap(entry.row, entry.column);
+  return matrix;
 }
 
 }  // namespace
@@ -66,15 +93,17 @@ LinearFlow::LinearFlow(int n, int columns, const std::vector<Entry>& entries) : 
   for (const Entry& entry : entries) {
     CHECK(std::isfinite(entry.value));
     if (entry.column <= n) {
-      matrix_.push_back(entry);
-      transposed_.push_back({entry.column, entry.row, entry.value});
+      along_.matrix.push_back(entry);
       size_ = std::max(size_, entry.column + 1);
     } else {
       rest_.push_back(entry);
     }
   }
-  nilpotent_ = NilpotencyOf(matrix_, size_);
-  norm_ = BalancedNorm(matrix_, size_);
+  nilpotent_ = NilpotencyOf(along_.matrix, size_);
+  norm_ = BalancedNorm(along_.matrix, size_);
+  along_.terms = TermsOfNilpotent(along_.matrix, size_, nilpotent_);
+  back_.matrix = Transposed(along_.matrix);
+  for (const std::vector<Entry>& term : along_.terms) back_.terms.push_back(Transposed(term));
 }
 
 // Returns the parts of a step, so short that the series converges at once, and the terms of the series in each.
@@ -86,19 +115,25 @@ LinearFlow::Plan LinearFlow::PlanOf(double h) const {
   return {parts, terms};
 }
 
-// Adds Psi slope to `sum`, and A Psi slope to `slope`: of the transpose for that of A.
-void LinearFlow::Sweep(const std::vector<Entry>& matrix, double h, double* slope, double* sum) const {
-  const Plan plan = PlanOf(h);
+// Adds Psi slope to `sum`, and A Psi slope to `slope`, for A or its transpose.
+void LinearFlow::Sweep(const Series& series, double h, double* slope, double* sum) const {
   double change[kMostStates + 1], term[kMostStates + 1], next[kMostStates + 1];
   const auto advance = [&] {
-    Multiply(matrix, change, size_, next);
-    for (int i = 0; i < size_; ++i) {
-      sum[i] += change[i];
-      slope[i] += next[i];
-    }
+    for (int i = 0; i < size_; ++i) sum[i] += change[i];
+    AddProduct(series.matrix, change, slope);
   };
+  if (nilpotent_ > 0) {
+    for (int i = 0; i < size_; ++i) change[i] = h * slope[i];
+    double power = h;
+    for (const std::vector<Entry>& entries : series.terms) {
+      power *= h;
+      for (const Entry& entry : entries) change[entry.row] += power * entry.value * slope[entry.column];
+    }
+    return advance();
+  }
+  const Plan plan = PlanOf(h);
   if (!(plan.parts <= kMostParts)) {
-    const Matrix psi = &matrix == &matrix_ ? Psi(h) : Matrix(Psi(h).transpose());
+    const Matrix psi = &series == &along_ ? Psi(h) : Matrix(Psi(h).transpose());
     Eigen::Map<Eigen::VectorXd>(change, size_) = psi * Eigen::Map<const Eigen::VectorXd>(slope, size_);
     return advance();
   }
@@ -106,7 +141,7 @@ void LinearFlow::Sweep(const std::vector<Entry>& matrix, double h, double* slope
   for (int part = 0; part < static_cast<int>(plan.parts); ++part) {
     for (int i = 0; i < size_; ++i) change[i] = term[i] = length * slope[i];
     for (int k = 2; k <= plan.terms; ++k) {
-      Multiply(matrix, term, size_, next);
+      Multiply(series.matrix, term, size_, next);
       for (int i = 0; i < size_; ++i) change[i] += term[i] = next[i] * (length / k);
     }
     advance();
@@ -121,7 +156,7 @@ LinearFlow::Matrix LinearFlow::Psi(double h) const {
   const double length = std::ldexp(h, -doublings);
   const int terms = PlanOf(length).terms;
   Matrix a = Matrix::Zero(size_, size_);
-  for (const Entry& entry : matrix_) a(entry.row, entry.column) = entry.value;
+  for (const Entry& entry : along_.matrix) a(entry.row, entry.column) = entry.value;
   Matrix term = length * Matrix::Identity(size_, size_), psi = term;
   for (int k = 2; k <= terms; ++k) psi += term = (length / k) * (a * term).eval();
   Matrix change = a * psi;
@@ -138,7 +173,7 @@ void LinearFlow::Step(double h, const double* x, const double* slope, double* af
   std::copy_n(x, n_, sum);
   rate[n_] = 1;  // of the time
   sum[n_] = 0;
-  Sweep(matrix_, h, rate, sum);
+  Sweep(along_, h, rate, sum);
   std::copy_n(sum, n_, after);
 }
 
@@ -149,7 +184,7 @@ void LinearFlow::Jacobian(double h, double* jacobian) const {
   out.setZero();
   out.leftCols(n_).setIdentity();
   const auto add = [&](const Entry& entry) { out.col(entry.column) += entry.value * psi.col(entry.row).head(n_); };
-  for (const Entry& entry : matrix_) add(entry);
+  for (const Entry& entry : along_.matrix) add(entry);
   for (const Entry& entry : rest_) add(entry);
 }
 
@@ -157,7 +192,7 @@ void LinearFlow::PullBack(double h, const double* after, int num_parameters, Ste
   double cotangent[kMostStates + 1], sum[kMostStates + 1] = {};
   std::copy_n(after, n_, cotangent);
   cotangent[n_] = 0;
-  Sweep(transposed_, h, cotangent, sum);
+  Sweep(back_, h, cotangent, sum);
   std::copy_n(cotangent, n_, out->x);
   out->t = size_ > n_ ? cotangent[n_] : 0.0;
   for (const Entry& entry : rest_) {

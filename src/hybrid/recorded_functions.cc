@@ -814,7 +814,8 @@ RecordedSystem::RecordedSystem(HybridLayout layout, std::vector<Mode> modes, boo
   }
   for (std::size_t i = 0; i < modes_.size(); ++i) {
     const Mode& mode = modes_[i];
-    Evaluated as_recorded{static_cast<int>(i), &mode.flow, {}, mode.fly ? &*mode.fly : nullptr, nullptr, {}, {}, {}};
+    Evaluated as_recorded{
+        static_cast<int>(i), sizes[i], &mode.flow, {}, mode.fly ? &*mode.fly : nullptr, nullptr, {}, {}, {}};
     std::vector<const ExpressionGraph*> functions = {&mode.flow.recording()};
     for (const Transition& transition : mode.transitions) {
       as_recorded.guards.push_back(&transition.guard);
@@ -871,7 +872,7 @@ int RecordedSystem::PieceOf(int base, std::vector<int> sides) const {
   const auto [known, is_new] = known_.try_emplace({base, sides}, num_modes());
   if (!is_new) return known->second;
   const RecordedSwitches& switches = *switches_[base];
-  Evaluated piece{base, nullptr, {}, nullptr, nullptr, sides, {}, {}};
+  Evaluated piece{base, layout().state_sizes[base], nullptr, {}, nullptr, nullptr, sides, {}, {}};
   if (modes_[base].fly) piece.floors = {0};  // functions of such a mode have the length of a flight as an input
   for (const double floor : switches.Floors(sides)) piece.floors.push_back(floor);
   std::vector<int> kind = sides;  // except for integer parts
@@ -1021,6 +1022,7 @@ int RecordedSystem::PieceAlong(const ModePoint& point, int guard) const {
 }
 
 bool RecordedSystem::IsOn(int mode, int guard) const {
+  if (!IsSwitch(mode, guard)) return false;
   const Evaluated& piece = at(mode);
   const int number = piece.switches[guard - (num_guards(mode) - num_switches(mode))].number;
   return !switches_[piece.base]->IsFloor(number) && piece.sides[number] == 0;

@@ -249,7 +249,7 @@ class RecordedSystem final : public HybridFunctions {
   };
   // A mode as it is recorded, or a piece of one.
   struct Evaluated {
-    int base;
+    int base, size;  // the mode as it is recorded, and its number of states
     const RecordedFunction* flow;
     std::vector<const RecordedFunction*> guards;
     const RecordedFunction* fly;
@@ -276,7 +276,7 @@ class RecordedSystem final : public HybridFunctions {
   std::vector<double> SwitchInputsAt(const ModePoint& point) const;
   std::vector<int> SidesAt(const ModePoint& point, std::vector<int> known) const;
 
-  int size(int mode) const { return layout().state_sizes[at(mode).base]; }
+  int size(int mode) const { return at(mode).size; }
   int num_parameters() const { return layout().num_parameters; }
   int num_columns(int mode) const { return size(mode) + 1 + num_parameters() + layout().num_controls; }
   const Transition& transition(int mode, int guard) const { return modes_[at(mode).base].transitions[guard]; }

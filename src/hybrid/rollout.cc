@@ -28,6 +28,7 @@ constexpr double kOffEquations = 0.01;      // of the change in a step: how far 
 constexpr double kOnEquations = 1e-9;       // of the largest number of a motion: a distance that tells nothing
 constexpr int kResolvedSteps = 1024;        // of a motion: fewer must resolve the guards everywhere
 constexpr int kFlownSteps = 1 << 14;        // likewise by closed forms, whose accuracy asks for no short steps
+constexpr int kStepsPerLook = 8;            // that pass from one look whether the motion is interrupted to the next
 constexpr int kPlaces = 64;                 // one step in so many may be one that does not
 
 constexpr int kMostRemarks = 8;  // that one text tells
@@ -296,6 +297,7 @@ RolloutEnd RolloutRun::Run(const HybridInput& input, const RolloutSteps& steps, 
   at_start_.clear();
   accumulation_.reset();
   accumulations_at_once_ = 0;
+  looks_ = 0;
   largest_ = 0;
   for (const std::vector<double>* numbers : {&input.initial, &input.parameters, &input.control}) {
     for (const double number : *numbers) largest_ = std::max(largest_, std::abs(number));
@@ -352,8 +354,9 @@ bool RolloutRun::StaysOnSwitch(const FlowStep& ahead, int guard, double fastest)
 
 // Finds the piece of the mode in which the motion goes on, and leaves its slope and guards in at_: a switch below zero,
 // or at zero and falling, takes its other side. If both sides point at the switch, the motion stays on it if the flow
-// there keeps it.
-bool RolloutRun::ChooseSwitchSides() {
+// there keeps it. A jump of the control turns no switch that does not read it: one that is about to fall through zero
+// does so in the step behind, as an event.
+bool RolloutRun::ChooseSwitchSides(Entry entry) {
   const int mode = at_.mode;
   double fastest = 0;
   std::vector<int> seen;
@@ -375,7 +378,9 @@ bool RolloutRun::ChooseSwitchSides() {
       using Side = HybridFunctions::Side;
       const bool stays =
           on && functions_.AdjacentPiece(here, guard, Side::kSliding) < 0 && StaysOnSwitch(here, guard, fastest);
-      if (on ? stays : rises) continue;
+      const bool waits = entry == Entry::kControlJump && at_.mode == mode && standing == GuardStatus::kFalling &&
+                         at_.armed[guard] != 0 && !functions_.ReadsControl(at_.mode, guard);
+      if (on ? stays : rises || waits) continue;
       turns = guard;
       next = functions_.AdjacentPiece(here, guard, !on ? Side::kOther : rises ? Side::kAbove : Side::kBelow);
     }
@@ -565,7 +570,7 @@ bool RolloutRun::EnterMode(Entry entry) {
   for (;;) {
     const int mode = at_.mode;
     const bool switches = functions_.num_switches(mode) > 0;
-    if (switches ? !ChooseSwitchSides() : !UpdateSlope()) return false;
+    if (switches ? !ChooseSwitchSides(entry) : !UpdateSlope()) return false;
     if (at_.mode != mode && entry == Entry::kControlJump) entry = Entry::kAfterReset;  // with other guards
     if (entry == Entry::kStart) Remark(functions_.ReasonNoDerivative(StepFrom(0), -1));
     const FlowStep ahead = StepFrom(tape_.step);
@@ -721,8 +726,9 @@ bool RolloutRun::ApplyReset(int guard, bool with_step, bool immediate) {
 bool RolloutRun::StepTo(int node) {
   const double target = input_->begin + input_->duration * tape_.Fraction(node);
   for (;;) {
-    if (InterruptGuard::GraceIsOver() || (options_.stop && options_.stop()))
+    if (looks_++ % kStepsPerLook == 0 && (InterruptGuard::GraceIsOver() || (options_.stop && options_.stop()))) {
       return Refuse("interrupted in " + DescribeTime());
+    }
     const int n = system_.state_size(at_.mode), num_guards = system_.num_guards(at_.mode);
     const FlowStep step = StepFrom(std::max(target - at_.t, 0.0));
     search_.integrator().Step(step, at_.slope.data(), next_state_.data(), next_slope_.data());
@@ -895,9 +901,30 @@ RolloutRun::PendingEvent RolloutRun::EarliestEvent(const FlowStep& step, const s
   return earliest;
 }
 
+// Whether a guard is itself a switch where both are at zero: in all motions nearby they reach zero together, to first
+// order, as the derivatives of both times, -(gradient of the guard) / rate, are the same; and the guard goes on falling
+// on the other side of the switch, unlike |x|, which only touches zero.
+bool RolloutRun::IsItsSwitch(int guard, double rate, int its_switch, double rate_of_switch) const {
+  constexpr double kSame = 1e-12;  // relative
+  const int columns = system_.state_size(at_.mode) + 1 + system_.num_parameters() + system_.num_controls();
+  Eigen::VectorXd of_guard(columns), of_switch(columns);
+  FlowStep here = StepFrom(0);
+  functions_.GuardGradient(here, guard, of_guard.data());
+  functions_.GuardGradient(here, its_switch, of_switch.data());
+  of_guard /= rate;
+  of_switch /= rate_of_switch;
+  if (!((of_guard - of_switch).lpNorm<Eigen::Infinity>() <= kSame * of_guard.lpNorm<Eigen::Infinity>())) return false;
+  here.mode = functions_.AdjacentPiece(here, its_switch, HybridFunctions::Side::kOther);
+  if (here.mode < 0) return false;
+  std::vector<double> slope(system_.state_size(here.mode));
+  functions_.Flow(here, slope.data());
+  return search_.GuardAt(here, slope.data(), guard).rate < 0;
+}
+
 // The guards that reach zero with the one that is due, where at_ is: within the errors of the integration. `first` is
 // the guard that comes first, of those that rounding does not separate from the one that is due: a switch if there is
-// one, as guards are then what they are on its other side, and else that of the smallest number.
+// one, as guards are then what they are on its other side, and else that of the smallest number. A guard that is itself
+// the switch comes before it: its reset leads to the mode where the motion has passed the switch.
 std::vector<int> RolloutRun::TiedGuards(const PendingEvent& due, int* first) {
   const FlowStep here = StepFrom(0);
   const double elapsed = Elapsed(at_.t);
@@ -920,7 +947,11 @@ std::vector<int> RolloutRun::TiedGuards(const PendingEvent& due, int* first) {
     }
     if (std::abs(value.value) > error.rounding - value.rate * rounding_of_due) continue;
     const bool turns = functions_.IsSwitch(at_.mode, guard), other_turns = functions_.IsSwitch(at_.mode, *first);
-    if (turns == other_turns ? guard < *first : turns) *first = guard;
+    const double rate = all[*first].rate;
+    const bool precedes = turns == other_turns ? guard < *first
+                          : turns              ? !IsItsSwitch(*first, rate, guard, value.rate)
+                                               : IsItsSwitch(guard, value.rate, *first, rate);
+    if (precedes) *first = guard;
   }
   return tied;
 }

@@ -99,7 +99,7 @@ class RolloutRun {
   void SetGrid(int steps, std::span<const double> divisions);
   bool JumpsWithControl(int guard) const;
   bool SwitchControl();
-  bool ChooseSwitchSides();
+  bool ChooseSwitchSides(Entry entry);
   bool StaysOnSwitch(const FlowStep& ahead, int guard, double fastest);
   bool JumpsFrom(const std::vector<double>& slope) const;
   void RemarkOnSwitches(Entry entry);
@@ -113,6 +113,7 @@ class RolloutRun {
   bool IsLastGrazing(int mode, int guard, double time) const;
   PendingEvent EarliestEvent(const FlowStep& step, const std::vector<GuardValue>& end);
   bool TakeEvent(const PendingEvent& due, const FlowStep& step);
+  bool IsItsSwitch(int guard, double rate, int its_switch, double rate_of_switch) const;
   std::vector<int> TiedGuards(const PendingEvent& due, int* first);
   void CompareGuards(const FlowStep& step);
   bool Accumulates(double until);
@@ -140,6 +141,7 @@ class RolloutRun {
   EventSearch search_;
   const HybridInput* input_ = nullptr;
   int interval_ = 0;
+  int looks_ = 0;  // steps and events, at some of which the rollout looks whether it is interrupted
   ModeState at_;
   std::vector<double> next_state_, next_slope_, state_within_;
   std::vector<GuardValue> next_guards_;

@@ -44,6 +44,20 @@ bool TiedEvents::SlopeAt(const ModePoint& at, std::vector<double>* slope) const 
   return AllFinite(*slope);
 }
 
+bool TiedEvents::LeaveSwitches(FlowStep* at, const std::function<double(int guard, double rate)>& value) {
+  if (!SlopeAt(*at, &slope_)) return false;
+  for (int guard = 0; guard < system_.num_guards(at->mode); ++guard) {
+    if (!functions_.IsOn(at->mode, guard)) continue;
+    const double side = value(guard, search_.GuardAt(*at, slope_.data(), guard).rate);
+    if (side == 0) continue;
+    using Side = HybridFunctions::Side;
+    at->mode = functions_.AdjacentPiece(*at, guard, side > 0 ? Side::kAbove : Side::kBelow);
+    if (at->mode < 0 || !SlopeAt(*at, &slope_)) return false;
+    guard = -1;  // The piece has switches of its own.
+  }
+  return true;
+}
+
 bool TiedEvents::FindCandidates(const FlowStep& at, const double* slope, double elapsed) {
   candidates_.clear();
   search_.Forget();
@@ -52,6 +66,7 @@ bool TiedEvents::FindCandidates(const FlowStep& at, const double* slope, double 
   for (int guard = 0; guard < system_.num_guards(at.mode); ++guard) {
     const GuardValue& value = values_[guard];
     if (!std::isfinite(value.value)) return false;
+    if (functions_.IsOn(at.mode, guard)) continue;
     const GuardStatus standing = search_.Classify(at, slope, guard, value, elapsed);
     if (standing == GuardStatus::kArmed) continue;
     const bool waits =
@@ -103,7 +118,8 @@ bool TiedEvents::Order(const Start& start, const std::function<int(int)>& choose
       at.mode = next;
       at.x = x->data();
     }
-    if (!SlopeAt(at, &slope_) || !FindCandidates(at, slope_.data(), start.elapsed)) return false;
+    const auto falls_or_rises = [](int, double rate) { return rate; };
+    if (!LeaveSwitches(&at, falls_or_rises) || !FindCandidates(at, slope_.data(), start.elapsed)) return false;
   }
   return false;
 }
@@ -271,7 +287,17 @@ std::optional<TiedEvents::Outcome> TiedEvents::Follow(const Start& start, Direct
     x.assign(next_.begin(), next_.begin() + rows);
     at.mode = next;
     at.x = x.data();
-    if (!SlopeAt(at, &slope_)) return std::nullopt;
+    const auto side_of = [&](int on, double rate) {
+      functions_.GuardGradient(at, on, gradient_.data());
+      const Row by_x(gradient_.data(), rows), by_p(gradient_.data() + rows + 1, num_parameters),
+          by_u(gradient_.data() + rows + 1 + num_parameters, num_controls);
+      const double by_t = gradient_[rows];
+      const double value = by_x.dot(change) + by_t * time + by_p.dot(direction.p) + by_u.dot(u);
+      const double value_size = by_x.cwiseAbs().dot(size) + std::abs(by_t) * time_size +
+                                by_p.cwiseAbs().dot(direction.p.cwiseAbs()) + by_u.cwiseAbs().dot(u.cwiseAbs());
+      return std::abs(value) > kSameChange * value_size ? value : rate;
+    };
+    if (!LeaveSwitches(&at, side_of)) return std::nullopt;
     change -= Eigen::Map<const Vector>(slope_.data(), rows) * time;
     size += Eigen::Map<const Vector>(slope_.data(), rows).cwiseAbs() * time_size;
     now = time;

@@ -64,6 +64,9 @@ class TiedEvents {
   // the same state, or one after which it is at zero with a rate of zero. -1 if it has not, or the system names none.
   int ModeAtRest(const FlowStep& at, const Candidate& candidate) const;
   bool Bounces(const FlowStep& at, int guard, const Direction& direction, double now, int rest);
+  // Moves from the zero of each switch to the side on which value(guard, rate) lies, unless that is 0, and computes the
+  // slope there. Returns false if there is no such side, or the slope is not finite.
+  bool LeaveSwitches(FlowStep* at, const std::function<double(int guard, double rate)>& value);
   // Finds guards that are at zero or behind on entry into a mode; returns false if one is not finite.
   bool FindCandidates(const FlowStep& at, const double* slope, double elapsed);
   // The state and mode after one order of the events; choose(n) is which of n guards comes next.

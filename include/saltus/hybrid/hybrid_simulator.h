@@ -175,8 +175,8 @@ class HybridSimulator {
 
   // Returns why the motion has no derivative by its input, or only one-sided ones; empty if it has. Reasons are guards
   // that graze, and an event at the start or at the final time; ties, events where the control jumps, and resets onto
-  // another guard, if states or derivatives differ from side to side, which costs about two gradients to check; and
-  // ReasonNotFinite().
+  // another guard, if states or derivatives differ from side to side, which costs about two gradients to check; resets
+  // that jump at the state of their own event; and ReasonNotFinite().
   std::string ReasonNotDifferentiable() const;
   // Returns why the derivatives computed last are not finite: the first function of the system along the motion whose
   // derivative is not finite, with its mode, time and variables. Empty if all are finite, or if none were computed

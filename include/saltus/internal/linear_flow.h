@@ -39,15 +39,21 @@ class LinearFlow {
     double parts;
     int terms;
   };
+  // A or its transpose, with the terms A^(k-1) / k!, k > 1, of Psi if a power of A is zero.
+  struct Series {
+    std::vector<Entry> matrix;
+    std::vector<std::vector<Entry>> terms;
+  };
   Plan PlanOf(double h) const;
   Matrix Psi(double h) const;
-  void Sweep(const std::vector<Entry>& matrix, double h, double* slope, double* sum) const;
+  void Sweep(const Series& series, double h, double* slope, double* sum) const;
 
   int n_, columns_;
-  int size_;                                       // of A: with the time if the flow depends on it
-  std::vector<Entry> matrix_, transposed_, rest_;  // A and its transpose; the derivatives by p and u
-  int nilpotent_ = 0;                              // the power of A that is zero; 0: none
-  double norm_ = 0;                                // of A, balanced
+  int size_;                 // of A: with the time if the flow depends on it
+  Series along_, back_;      // A and its transpose
+  std::vector<Entry> rest_;  // the derivatives by p and u
+  int nilpotent_ = 0;        // the power of A that is zero; 0: none
+  double norm_ = 0;          // of A, balanced
 };
 
 }  // namespace saltus

@@ -302,6 +302,13 @@ class EventRows final : public Rows {
   mutable StateAtNode before_;
 };
 
+// Whether a reset leads to another mode than planned. The piece of the mode may be another one where the state after
+// the reset is at a switch, on whose side the guards of the phase behind keep it.
+bool LeadsElsewhere(const HybridFunctions& functions, int next, int planned) {
+  if (functions.CreatesModes()) return false;
+  return next < 0 || functions.BaseMode(next) != functions.BaseMode(planned);
+}
+
 // The defect of a reset of the parts that it changes. Blocks: state before, parameters if there are any, time, state
 // after. `control` acts before it; where it matters, for the next mode only, that follows from the guards of the phase
 // behind.
@@ -341,7 +348,7 @@ class ResetRows final : public Rows {
     control_.Join(control_blocks_.data(), u.data());
     const ModePoint at{event_.mode, blocks[time][0], before, u.data(), p, by_parameters};
     const int next = functions_.ResetJacobian(at, event_.guard, x_plus.data(), jacobian.data());
-    if (next != event_.next_mode && !functions_.CreatesModes()) return false;
+    if (LeadsElsewhere(functions_, next, event_.next_mode)) return false;
     after_.Join(blocks + time + 1, x.data());
     for (int i = 0; i < count; ++i) rows[i] = scale_[i] * (x[rows_[i]] - x_plus[rows_[i]]);
     if (!AreFinite(rows)) return false;
@@ -824,7 +831,7 @@ bool HybridTranscription::SetInitialValues(const Start& start) {
         controls_.empty() ? std::vector<double>() : JoinedControl(static_cast<int>(controls_.size()) - 1);
     const ModePoint at{event.mode, *End(j), before.data(), u.data(), parameters_.data()};
     const int next = LawOf(j).Reset(at, event.guard, after.data());
-    if (next != event.next_mode && !functions_.CreatesModes()) return false;
+    if (LeadsElsewhere(functions_, next, event.next_mode)) return false;
     if (IsNone(event, at)) std::ranges::copy(before, after.begin());
     for (const int part : PartsOf(event)) {
       if (IsOnePart()) {
