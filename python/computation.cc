@@ -1,6 +1,7 @@
 #include "computation.h"
 
 #include <cmath>
+#include <ctime>
 
 #include "base/number_text.h"
 
@@ -8,6 +9,14 @@ namespace saltus::python {
 namespace {
 
 constexpr std::chrono::milliseconds kLook(50);  // how often signals are looked for
+
+// Returns the time of the steady clock, up to 4 ms ago, at a fifth of the cost: rollouts ask in each step.
+std::chrono::steady_clock::time_point CoarseNow() {
+  timespec now;
+  clock_gettime(CLOCK_MONOTONIC_COARSE, &now);
+  return std::chrono::steady_clock::time_point(std::chrono::seconds(now.tv_sec) +
+                                               std::chrono::nanoseconds(now.tv_nsec));
+}
 
 }  // namespace
 
@@ -46,8 +55,8 @@ py::object Computation::StoppedBy() const {
 bool Computation::Stopped() {
   if (stopped_) return true;
   const bool is_caller = std::this_thread::get_id() == caller_;
-  if (!is_caller && seconds_ == 0) return false;  // without the cost of the clock
-  const auto now = std::chrono::steady_clock::now();
+  if (!is_caller && seconds_ == 0) return false;
+  const auto now = CoarseNow();
   if (seconds_ > 0 && std::chrono::duration<double>(now - begin_).count() >= seconds_) return stopped_ = true;
   if (!is_caller || now < next_look_) return false;
   next_look_ = now + kLook;

@@ -368,3 +368,17 @@ def test_a_reset_onto_a_guard_that_rises_is_remarked():
         ends[v] = motion.final[0]
         assert motion.remark == ("the reset at t = 1 leads onto guard 'halt'" if v == 0 else "")
     assert abs(ends[1e-9] - 0.5) < 1e-8 and abs(ends[-1e-9]) < 1e-8
+
+
+def test_a_gradient_at_a_graze_says_of_which_motions_it_is():
+    # The apex of a throw at 4 m/s is at the ceiling: slower throws pass by, and faster ones hit.
+    def texts(speed):
+        scene = {
+            "name": "throw", "duration": 1.0, "steps": 10, "gravity": [0, -8], "contact": {"restitution": 0.5},
+            "bodies": [disc("ball", (0, 0), (1, speed), radius=0.25)], "optimize": "velocity",
+            "planes": [{"name": "ceiling", "point": [0, 1.25], "normal": [0, -1]}],
+            "objective": {"terminal": [{"body": "ball", "quantity": "position", "target": [0, 2], "weight": 1}]}}
+        return [remark["text"] for remark in saltus.loss_and_gradient(saltus.Scene(scene))["remarks"]]
+
+    assert texts(3.999) == texts(4.001) == []
+    assert texts(4) == ["ball grazes ceiling at t = 0.5: the derivatives are those of motions that pass by, and not of those that hit"]

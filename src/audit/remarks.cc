@@ -70,6 +70,12 @@ Remarks RemarksOn(const Scene& scene, const ModelGradient& gradient) {
   Remarks remarks;
   AddFallback(gradient.unresolved_steps, gradient.num_steps, &remarks);
   AddTie(gradient.ambiguous, gradient.spread, &remarks);
+  for (const Event& event : gradient.events) {
+    if (!event.grazes) continue;
+    remarks.push_back({"derivative",
+                       event.a + " grazes " + event.b + " at t = " + ToText(event.time, 6) +
+                           ": the derivatives are those of motions that pass by, and not of those that hit"});
+  }
   for (const OneSided& entry : gradient.one_sided) {
     const std::string of = std::string(entry.component == 0 ? "x" : "y") + " of the " +
                            QuantityToString(entry.quantity) + " of " + scene.bodies[entry.body].name;

@@ -28,7 +28,6 @@ constexpr double kOffEquations = 0.01;      // of the change in a step: how far 
 constexpr double kOnEquations = 1e-9;       // of the largest number of a motion: a distance that tells nothing
 constexpr int kResolvedSteps = 1024;        // of a motion: fewer must resolve the guards everywhere
 constexpr int kFlownSteps = 1 << 14;        // likewise by closed forms, whose accuracy asks for no short steps
-constexpr int kStepsPerLook = 8;            // that pass from one look whether the motion is interrupted to the next
 constexpr int kPlaces = 64;                 // one step in so many may be one that does not
 
 constexpr int kMostRemarks = 8;  // that one text tells
@@ -297,7 +296,6 @@ RolloutEnd RolloutRun::Run(const HybridInput& input, const RolloutSteps& steps, 
   at_start_.clear();
   accumulation_.reset();
   accumulations_at_once_ = 0;
-  looks_ = 0;
   largest_ = 0;
   for (const std::vector<double>* numbers : {&input.initial, &input.parameters, &input.control}) {
     for (const double number : *numbers) largest_ = std::max(largest_, std::abs(number));
@@ -726,9 +724,8 @@ bool RolloutRun::ApplyReset(int guard, bool with_step, bool immediate) {
 bool RolloutRun::StepTo(int node) {
   const double target = input_->begin + input_->duration * tape_.Fraction(node);
   for (;;) {
-    if (looks_++ % kStepsPerLook == 0 && (InterruptGuard::GraceIsOver() || (options_.stop && options_.stop()))) {
+    if (InterruptGuard::GraceIsOver() || (options_.stop && options_.stop()))
       return Refuse("interrupted in " + DescribeTime());
-    }
     const int n = system_.state_size(at_.mode), num_guards = system_.num_guards(at_.mode);
     const FlowStep step = StepFrom(std::max(target - at_.t, 0.0));
     search_.integrator().Step(step, at_.slope.data(), next_state_.data(), next_slope_.data());

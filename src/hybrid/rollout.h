@@ -141,7 +141,6 @@ class RolloutRun {
   EventSearch search_;
   const HybridInput* input_ = nullptr;
   int interval_ = 0;
-  int looks_ = 0;  // steps and events, at some of which the rollout looks whether it is interrupted
   ModeState at_;
   std::vector<double> next_state_, next_slope_, state_within_;
   std::vector<GuardValue> next_guards_;

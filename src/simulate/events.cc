@@ -39,7 +39,8 @@ std::vector<Event> EventsOf(const Simulator& simulator) {
     events.push_back({at.step * simulator.step() + at.touch.time,
                       scene.bodies[c.a].name,
                       c.plane ? walls[c.b] : scene.bodies[c.b].name,
-                      at.touch.mode});
+                      at.touch.mode,
+                      at.touch.kind == ContactKind::kGrazing});
   }
   return events;
 }

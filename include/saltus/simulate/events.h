@@ -14,6 +14,7 @@ struct Event {
   std::string a;    // a disc
   std::string b;    // the other disc, or the wall, a part of a wall, a pocket or "table" (WallPart::name)
   ContactMode mode = ContactMode::kFrictionless;
+  bool grazes = false;  // its speed is near zero, and derivatives are those of motions that pass by without a contact
 };
 
 // Simultaneous impacts that are connected through discs that move, and whose order changes the velocities after them.

@@ -132,7 +132,10 @@ SearchFinding Shoot(SolveRequest request, const SolverOptions& options, const Se
   SearchFinding finding;
   finding.jacobians = report.work.evaluations;
   finding.work = finding.jacobians * WorkByRollout(scene);
-  finding.remark = "no sequence tried has its optimum there";
+  finding.remark =
+      "the best motion is the end of a descent, and no sequence tried has its optimum there: let the search do more "
+      "work "
+      "and more random starts, or start from this control";
   if (report.solution.control.empty()) return finding;
   scene.steps = steps;
   finding.trial.control = MeanOverSteps({std::move(report.solution.control), {}}, scene.control_width(), steps);
