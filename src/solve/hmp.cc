@@ -200,7 +200,7 @@ bool WriteControl(const Scene& scene, const ContactSequence& sequence, const std
   Path<double> path;
   if (!phases.Unroll(z.data(), &path)) return false;
   phases.Control(path, &trial->control, &trial->durations);
-  Simulate(scene, {}, trial);
+  Simulate(scene, trial);
   if (!trial->exact.ok || trial->exact.contacts != sequence) return true;
   PhaseSolution best = SolveAlong(scene, sequence, GuessFrom(scene, FlightOf(scene, *trial), sequence), {});
   if (best.optimal() && best.trial.exact.loss <= trial->exact.loss) *trial = std::move(best.trial);

@@ -16,7 +16,7 @@
 
 #include "saltus/control/contact_sequence.h"
 #include "saltus/control/surrogate.h"
-#include "saltus/control/user_term.h"
+#include "saltus/hybrid/hybrid_problem.h"
 #include "saltus/optimality/certificate.h"
 #include "saltus/scene/scene.h"
 #include "saltus/simulate/registry.h"
@@ -34,9 +34,9 @@ struct SolveRequest {
   Scene scene;
   Contact contact;
   Precision precision = Precision::kDouble;
-  // User-defined terms in addition to the scene's objective and constraints, in SI units; for solvers that support
-  // them.
-  std::vector<UserTerm> terms = {};
+  // User-defined terms in addition to the scene's objective and constraints: terms of the hybrid problem of the scene
+  // (control/scene_problem.h), in SI units; for solvers that support them.
+  std::vector<HybridTerm> terms = {};
 };
 
 // Limits and starts of a search over collision sequences. The limit that is reached first ends it.
@@ -223,7 +223,7 @@ struct SolverEntry {
   bool takes_surrogate = false;  // supports surrogates, because it uses the gradient as a direction only
   bool any_units = false;        // has no thresholds; the others compute in the natural units of the scene (units.h)
   bool constraints = false;      // supports what NonTerminalFeatures() names, with exceptions by reason_not_applicable
-  bool user_terms = false;       // supports SolveRequest::terms
+  bool user_terms = false;       // supports SolveRequest::terms, with the scene as a hybrid problem
   bool design = false;           // supports Scene::design
   // Whether it solves a scene with Scene::design and a control as a hybrid problem whose parameters are Scene::design.
   bool given_design = false;
