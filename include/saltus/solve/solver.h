@@ -144,9 +144,10 @@ struct SearchStatistics {
 struct Solution {
   double loss = 0;  // under the contact model
   // The violation of constraints: the largest of hard terms and bounds on the control, in natural units of the scene
-  // (units.h), and of constraints of the user. It is infinite if discs that must not touch do so. Residuals of a hybrid
-  // problem that change by less than 0.1 or more than 500 as the states, controls and parameters that they read change
-  // by their sizes in the motion of the guess are divided by this change. Only solvers that support constraints set it.
+  // (units.h). It is infinite if discs that must not touch do so. Residuals of a hybrid problem, which a scene with
+  // user-defined terms is too, that change by less than 0.1 or more than 500 as the states, controls and parameters
+  // that they read change by their sizes in the motion of the guess are divided by this change. Only solvers that
+  // support constraints set it.
   double violation = 0;
   std::vector<double> initial_state = {};  // B x 4 or B x 6, or the state of a hybrid system
   std::vector<double> control = {};        // K x control_width() forces, N; K x m for a hybrid system
