@@ -282,7 +282,8 @@ void CostateShooting::Fly(int body, const T& from, const T& length, Flying<T>* x
 }
 
 template <typename T>
-bool CostateShooting::Evaluate(const T* y, T* residuals, T* loss, std::vector<Leg>* legs) const {
+bool CostateShooting::Evaluate(const T* y, T* residuals, T* loss, std::vector<Leg>* legs,
+                               std::vector<double>* speeds) const {
   const T duration = end_index_ < 0 ? T(scene_.duration) : y[end_index_];
   T* jump = residuals;
   T* hamiltonian = jump + sizes_.jumps;
@@ -365,6 +366,7 @@ bool CostateShooting::Evaluate(const T* y, T* residuals, T* loss, std::vector<Le
         c.plane ? Separate<T>(before[0].p, MakeHalfPlane(scene_.planes[c.b])) : Separate<T>(before[0].p, before[1].p);
     const Impact<T> impact = MakeImpact<T>(law, apart.normal, Vec2<T>(before[0].v - before[1].v));
     if (!(Value(impact.speed) < 0)) return false;
+    if (speeds != nullptr) speeds->push_back(-Value(impact.speed));
     *gap++ = apart.distance - law.contact_distance;
     T gained(0.0);
     for (int side = 0; side < 2; ++side) {
@@ -436,7 +438,8 @@ Vec2d CostateShooting::ForceAt(const std::vector<Leg>& legs, int c, double time)
 }
 
 using ShootingJet = ceres::Jet<double, kCostateShootingStride>;
-template bool CostateShooting::Evaluate(const double*, double*, double*, std::vector<Leg>*) const;
-template bool CostateShooting::Evaluate(const ShootingJet*, ShootingJet*, ShootingJet*, std::vector<Leg>*) const;
+template bool CostateShooting::Evaluate(const double*, double*, double*, std::vector<Leg>*, std::vector<double>*) const;
+template bool CostateShooting::Evaluate(const ShootingJet*, ShootingJet*, ShootingJet*, std::vector<Leg>*,
+                                        std::vector<double>*) const;
 
 }  // namespace saltus

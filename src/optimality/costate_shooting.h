@@ -65,9 +65,11 @@ class CostateShooting {
   const ConditionSizes& sizes() const { return sizes_; }
 
   // Writes as many residuals as there are unknowns. Returns false if there is no motion with these unknowns: impact
-  // times are not in order, or the two bodies of an impact separate. Loss and legs are not computed where null.
+  // times are not in order, or the two bodies of an impact separate. The loss, the legs and the speeds of approach at
+  // the impacts are not computed where null.
   template <typename T>
-  bool Evaluate(const T* y, T* residuals, T* loss = nullptr, std::vector<Leg>* legs = nullptr) const;
+  bool Evaluate(const T* y, T* residuals, T* loss = nullptr, std::vector<Leg>* legs = nullptr,
+                std::vector<double>* speeds = nullptr) const;
   // Returns the force on pushed disc c at a time. Precondition: `legs` are those of a motion that contains the time.
   Vec2d ForceAt(const std::vector<Leg>& legs, int c, double time) const;
 

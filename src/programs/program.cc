@@ -53,7 +53,7 @@ DEFINE_int32(iterations, 0, "largest number of iterations of each solver (defaul
 DEFINE_string(
     sequence, "auto",
     "collision sequence of ceres_event, ceres_phases, hmp and mode_search: 'auto' (that of the initial guess, "
-    "which all but hmp may change), 'fixed' (that of the initial guess), 'none' (no impacts), or pairs such "
+    "which they may change), 'fixed' (that of the initial guess), 'none' (no impacts), or pairs such "
     "as striker-target,target-ceiling");
 DEFINE_double(search_work, saltus::SearchOptions().work,
               "work limit of mode_search, in computed gradients; 0 is no limit");

@@ -1,14 +1,12 @@
 // The indirect method: a zero of the conditions of the hybrid minimum principle in continuous time, to rounding.
 //
-// Without bounds, hard terms, path costs and a free final time, the conditions are those of optimality/costate.h. The
-// unknowns are the variables of EventPhases and one multiplier per impact: five for one impact of a controlled disc.
-// Newton's method starts from where Levenberg-Marquardt on the same variables has converged. The control reported is
-// the best one on Scene::steps intervals with the same impacts, so its loss is a little higher.
+// The conditions are those of optimality/costate_shooting.h. Newton's method starts from a solution on Scene::steps
+// intervals and the multipliers of its certificate: that of ceres_event along the impacts of the guess, or of
+// ceres_phases where the scene has bounds, hard terms, path costs or a free final time. The report has the control of
+// that solution, and the loss of the optimum in continuous time. The certificate is that of the control reported, and
+// SolveReport::continuous has the conditions in continuous time.
 //
-// Otherwise they are those of optimality/costate_shooting.h, and Newton's method starts from the solution of
-// ceres_phases and the multipliers of its certificate. The report has the control that ceres_phases has found on
-// Scene::steps intervals, and the loss of the optimum in continuous time. The certificate is that of the control
-// reported, and SolveReport::continuous has the conditions in continuous time.
+// Arcs of EventPhases (optimality/costate.h) are brought to a zero of their conditions in the same way.
 #pragma once
 
 #include <optional>
@@ -22,11 +20,10 @@
 namespace saltus {
 
 struct HmpRoot {
-  std::vector<double> z;            // variables of the path
-  std::vector<double> multipliers;  // one per impact
-  bool valid = false;               // whether there is a path; if not, nothing else is filled
-  double residual = 0;              // the largest of all conditions
-  double scale = 0;                 // the largest costate
+  std::vector<double> z;  // variables of the path
+  bool valid = false;     // whether there is a path; if not, nothing else is filled
+  double residual = 0;    // the largest of all conditions
+  double scale = 0;       // the largest costate
   int jacobians = 0;
 };
 
@@ -41,6 +38,7 @@ struct ContinuousOptimum {
   std::vector<double> y;  // its unknowns
   std::vector<CostateShooting::Leg> legs;
   std::vector<double> residuals;
+  std::vector<double> speeds;  // of approach at the impacts
   double loss = 0;
   double scale = 0;  // the largest costate
   int jacobians = 0;

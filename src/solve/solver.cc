@@ -101,14 +101,12 @@ std::string UnsupportedSurrogate(const SolverEntry& entry, const SolveRequest& r
     return "optimize: found " + NameOf(request.scene.design.front().parameter, request.scene) +
            "; surrogates have no derivatives by parameters of the scene";
   }
+  if (!request.terms.empty()) return "surrogates are of the objective of the scene, without user-defined cost terms";
   if (!entry.takes_surrogate) return "a surrogate is not the derivative of the loss, which this solver relies on";
   return ReasonNotApplicable(surrogate, request.contact, request.scene);
 }
 
 std::string UnsupportedUserTerms(const SolverEntry& entry, const SolveRequest& request) {
-  for (const UserTerm& term : request.terms) {
-    if (std::string wrong = Validate(term, request.scene); !wrong.empty()) return wrong;
-  }
   if (request.terms.empty() || entry.user_terms) return "";
   return "it minimises the objective of the scene only; ceres_phases takes user-defined cost terms";
 }
@@ -129,9 +127,6 @@ std::string UnsupportedDesign(const SolverEntry& entry, const SolveRequest& requ
                   "control too"
                 : "; gd, ceres_lbfgs and ceres_lm take parameters alone");
   }
-  if (!request.terms.empty()) {
-    return found + " beside user-defined cost terms, which are taken with given parameters only";
-  }
   return "";
 }
 
@@ -141,8 +136,8 @@ std::string UnsupportedByAllSolvers(const SolveRequest& request) { return Reason
 // guess, as where discs that touched pass by one another; empty if there is none.
 std::string FindLossOfReach(const SolveRequest& request, const SolverOptions& options, const SolveReport& report) {
   const Scene& scene = request.scene;
-  const bool shot = scene.optimize == Optimize::kControl && scene.design.empty() && request.terms.empty() &&
-                    scene.objective.IsSumOfSquares() && !options.surrogate;
+  const bool shot = scene.optimize == Optimize::kControl && scene.design.empty() && scene.objective.IsSumOfSquares() &&
+                    !options.surrogate;
   if (!shot) return "";
   const auto rows_at = [&](const std::optional<ControlGuess>& control, std::vector<double>* residuals) {
     SolverOptions own;
@@ -185,9 +180,9 @@ SolveReport SolveAutomatically(const SolveRequest& request, const SolverOptions&
   if (options.surrogate) {
     order = {"gd"};
     why = "a surrogate takes the place of the gradient";
-  } else if (!beyond.empty() || !request.terms.empty()) {
+  } else if (!beyond.empty()) {
     order = {"ceres_phases", "ipopt", "ceres_lm", "gd"};
-    why = beyond.empty() ? "the problem has terms of a user" : "the scene has " + beyond;
+    why = "the scene has " + beyond;
   } else if (!scene.objective.IsSumOfSquares()) {
     order = {"ceres_lbfgs", "gd"};
     why = "the loss is no sum of squares";
@@ -271,30 +266,34 @@ bool HasHybrid(std::string_view solver) {
 }
 
 // Whether a solver solves a scene as a hybrid system, of which design parameters are parameters.
-bool SolvesAsHybrid(const SolverEntry& entry, const Scene& scene) {
-  if (!NonBallisticForces(scene).empty()) return HasHybrid(entry.name);
-  return entry.given_design && !scene.design.empty();
+bool SolvesAsHybrid(const SolverEntry& entry, const SolveRequest& request) {
+  if (!request.terms.empty()) return entry.user_terms;
+  if (!NonBallisticForces(request.scene).empty()) return HasHybrid(entry.name);
+  return entry.given_design && !request.scene.design.empty();
 }
 
 // Returns why a solver does not support a scene that is solved as a hybrid system, or whose flights are not those of
 // constant acceleration; empty if it does, and for other scenes.
 std::string UnsupportedAsHybrid(const SolverEntry& entry, const SolveRequest& request, bool given_sequence) {
   const Scene& scene = request.scene;
-  const bool as_hybrid = SolvesAsHybrid(entry, scene);
+  const bool as_hybrid = SolvesAsHybrid(entry, request), has_terms = !request.terms.empty();
   const std::string beyond = NonBallisticForces(scene);
-  const std::string has = "the scene has " + (beyond.empty() ? "free parameters" : beyond);
+  const std::string has = "the scene has " + (!beyond.empty() ? beyond
+                                              : has_terms     ? "user-defined cost terms"
+                                                              : "free parameters");
   if (beyond.empty() && !as_hybrid) return "";
   if (!scene.design.empty() && !beyond.empty()) {
     return has +
            " and free parameters, for which no solver of scenes has derivatives: identify or sweep them, or solve its "
            "hybrid problem (saltus.hybrid_problem)";
   }
-  if (!request.terms.empty()) return has + ", beside which user-defined terms are terms of a hybrid system";
   if (as_hybrid) {
     if (given_sequence && !scene.objective.via.empty()) {
       return has + " and waypoints, beside which sequences are not taken: leave the sequence out";
     }
-    if (!IsExact(request)) return has + ", which this solver takes under the contact model event only: use ceres_lm";
+    if (!IsExact(request)) {
+      return has + ", which this solver takes under the contact model event only" + (has_terms ? "" : ": use ceres_lm");
+    }
     const std::string part = UnsupportedByHybridProblem(scene);
     return part.empty() ? "" : has + " and " + part;
   }
@@ -307,7 +306,7 @@ std::string UnsupportedAsHybrid(const SolverEntry& entry, const SolveRequest& re
 }
 
 // Solves a scene as a hybrid system, of which design parameters are parameters. The certificate, which has the names of
-// events, is left to Confirm(), which goes on where it denies a solution.
+// events, is left to Confirm(), which goes on where it denies a solution; with user-defined terms it stays.
 SolveReport SolveAsHybrid(std::string_view solver, const SolveRequest& request, const SolverOptions& given,
                           const std::vector<double>& parameters) {
   const Scene& scene = request.scene;
@@ -321,6 +320,7 @@ SolveReport SolveAsHybrid(std::string_view solver, const SolveRequest& request, 
     options.sequences.given->push_back({.a = 0, .b = -1});
   }
   HybridProblem problem = MakeHybridProblem(scene);
+  problem.terms.insert(problem.terms.end(), request.terms.begin(), request.terms.end());
   if (given.guess) {
     problem.guess = InputOf(problem, problem.guess.initial, given.guess->control, LengthsOf(*given.guess, scene));
   }
@@ -331,7 +331,7 @@ SolveReport SolveAsHybrid(std::string_view solver, const SolveRequest& request, 
   report.solution.initial_state.resize(std::min<size_t>(report.solution.initial_state.size(), InitialSize(scene)));
   if (!scene.design.empty())
     report.solution.initial_state = InitialState(WithDesign(scene, report.solution.parameters));
-  ForgetCertificate(&report);
+  if (request.terms.empty()) ForgetCertificate(&report);
   if (report.history.losses.empty() && report.termination == Termination::kFailed) {  // in words of scenes
     const ControlGuess start = given.guess.value_or(ControlGuess{InitialControl(scene, scene.steps), {}});
     const Scene designed = WithDesign(scene, parameters);
@@ -433,10 +433,10 @@ SolveReport SolveDesign(const SolverEntry& entry, const SolveRequest& request, c
 
 // Under exact contact the loss minimized is that of the certificate, which has the last word on "converged".
 void Confirm(const SolveRequest& request, const SolverOptions& options, const TimeLimit& limit, SolveReport* report) {
-  if (report->termination != Termination::kConverged || !IsExact(request)) return;
+  if (report->termination != Termination::kConverged || !IsExact(request) || !request.terms.empty()) return;
   const Scene scene = WithDesign(request.scene, report->solution.parameters);
-  const bool control = scene.optimize == Optimize::kControl && request.terms.empty() &&
-                       (scene.objective.effort != 0 || !NonTerminalFeatures(scene).empty());
+  const bool control =
+      scene.optimize == Optimize::kControl && (scene.objective.effort != 0 || !NonTerminalFeatures(scene).empty());
   if (!control && scene.design.empty()) return;
   if (!report->certificate) {
     report->certificate = Certify(scene,
@@ -589,18 +589,21 @@ const std::vector<SolverEntry>& AllSolvers() {
        .takes_surrogate = true,
        .any_units = true,
        .constraints = true,
+       .user_terms = true,
        .design = true},
       {.name = "ceres_lbfgs",
        .summary = "L-BFGS of Ceres on the adjoint gradient",
        .reason_not_applicable = UnsupportedByLbfgs,
        .solve = SolveByCeresLbfgs,
        .constraints = true,
+       .user_terms = true,
        .design = true},
       {.name = "ceres_lm",
        .summary = "Levenberg-Marquardt of Ceres, single shooting",
        .reason_not_applicable = UnsupportedByLm,
        .solve = SolveByCeresLm,
        .constraints = true,
+       .user_terms = true,
        .design = true},
       {.name = "ceres_shooting",
        .summary = "Levenberg-Marquardt of Ceres, step shooting, every iterate a rollout",
@@ -682,7 +685,9 @@ bool EndsWorse(const SolveReport& report) {
 
 SolveReport Solve(std::string_view solver, const SolveRequest& given, const SolverOptions& given_options) {
   const SolverEntry* entry = FindSolver(solver);
-  if (entry != nullptr && entry->solve == SolveAutomatically) return SolveAutomatically(given, given_options);
+  if (entry != nullptr && entry->solve == SolveAutomatically && given.terms.empty()) {
+    return SolveAutomatically(given, given_options);
+  }
   SolveRequest request = given;
   const double price = FixDuration(&request.scene);
   const bool fixed = given.scene.objective.duration && !request.scene.objective.duration;
@@ -698,10 +703,12 @@ SolveReport Solve(std::string_view solver, const SolveRequest& given, const Solv
   if (reason.empty()) reason = UnsupportedDesign(*entry, request);
   if (reason.empty() && !entry->constraints) reason = UnsupportedWithoutConstraints(request.scene);
   if (reason.empty()) reason = UnsupportedAsHybrid(*entry, request, options.sequences.given.has_value());
-  const bool as_hybrid = reason.empty() && SolvesAsHybrid(*entry, request.scene);
+  const bool as_hybrid = reason.empty() && SolvesAsHybrid(*entry, request);
   SolveRequest converted = request;
   if (reason.empty()) {
-    converted.scene = entry->any_units ? NearOrigin(request.scene) : ToNaturalUnits(request.scene);
+    if (request.terms.empty()) {
+      converted.scene = entry->any_units ? NearOrigin(request.scene) : ToNaturalUnits(request.scene);
+    }
     if (!as_hybrid) reason = entry->reason_not_applicable(converted);
   }
   if (reason.empty() && options.surrogate) reason = UnsupportedSurrogate(*entry, request, *options.surrogate);
@@ -710,9 +717,10 @@ SolveReport Solve(std::string_view solver, const SolveRequest& given, const Solv
   if (reason.empty()) {
     const SolverOptions own = OptionsFor(converted.scene, options);
     const TimeLimit limit(own);
-    report = !as_hybrid                       ? entry->solve(converted, own)
-             : converted.scene.design.empty() ? SolveAsHybrid(solver, converted, own, {})
-                                              : SolveDesign(*entry, converted, own);
+    const bool takes_turns = converted.terms.empty() && !converted.scene.design.empty();
+    report = !as_hybrid    ? entry->solve(converted, own)
+             : takes_turns ? SolveDesign(*entry, converted, own)
+                           : SolveAsHybrid(solver, converted, own, DesignOf(converted.scene));
     Confirm(converted, own, limit, &report);
     report = ToSiUnits(converted.scene, std::move(report));
     ForEachLoss(&report, [&](double* loss) { *loss += price; });

@@ -1,13 +1,10 @@
 // Costs and constraints of a user's own: where scene files can say the same, the solution is the same.
 #include <ceres/autodiff_cost_function.h>
-#include <ceres/gradient_checker.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <array>
 #include <cmath>
 
-#include "control/user_term_cost.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/solve/solver.h"
 #include "test_scenes.h"
@@ -24,22 +21,40 @@ Scene Problem() {
   return scene;
 }
 
-SolveReport SolveWith(const Scene& scene, std::vector<UserTerm> terms, const char* solver = "ceres_phases") {
+SolveReport SolveWith(const Scene& scene, std::vector<HybridTerm> terms, const char* solver = "ceres_phases") {
   return Solve(
       solver, {.scene = scene, .contact = "event", .terms = std::move(terms)}, {.limits = {.iterations = 300}});
 }
 
-struct FinalMiss {
-  double scale, target = 0.3;
+// The state of two discs: [x y v_x v_y] of each.
+constexpr int kState = 8;
+
+// A cost that is zero, with which a scene is solved as one with own terms is.
+struct Zero {
   template <typename T>
   bool operator()(const T* x, T* residuals) const {
-    for (int j = 0; j < 2; ++j) residuals[j] = scale * (x[j] - target);
+    residuals[0] = 0.0 * x[0];
     return true;
   }
 };
-UserTerm FinalPosition(int body, UserTerm::Role role, double scale) {
-  UserTerm term{.name = "aim", .at = UserTerm::Timing::kEnd, .role = role, .states = {body}};
-  term.function = std::make_shared<ceres::AutoDiffCostFunction<FinalMiss, 2, 4>>(new FinalMiss{scale});
+HybridTerm Nothing() {
+  HybridTerm term{.name = "nothing", .with_state = true};
+  term.function = std::make_shared<ceres::AutoDiffCostFunction<Zero, 1, kState>>(new Zero);
+  return term;
+}
+
+struct FinalMiss {
+  int body;
+  double scale, target = 0.3;
+  template <typename T>
+  bool operator()(const T* x, T* residuals) const {
+    for (int j = 0; j < 2; ++j) residuals[j] = scale * (x[4 * body + j] - target);
+    return true;
+  }
+};
+HybridTerm FinalPosition(int body, HybridTerm::Role role, double scale) {
+  HybridTerm term{.name = "aim", .role = role, .with_state = true};
+  term.function = std::make_shared<ceres::AutoDiffCostFunction<FinalMiss, 2, kState>>(new FinalMiss{body, scale});
   return term;
 }
 
@@ -54,22 +69,23 @@ struct Effort {
   }
 };
 
-// Torques over the steps, as the effort of an objective, for a disc of the radius 0.2.
-struct TorqueEffort {
-  double weight;
+// Costs of the angle and the angular velocity of the first of two discs, whose rotations follow the states.
+struct RotationMiss {
   template <typename T>
-  bool operator()(const T* torque, const T* h, T* residuals) const {
-    using std::sqrt;
-    residuals[0] = sqrt(weight * h[0]) * torque[0] / 0.2;
+  bool operator()(const T* x, T* residuals) const {
+    residuals[0] = x[kState] - 1.5;
+    residuals[1] = sqrt(0.3) * (x[kState + 1] - 2.0);
     return true;
   }
 };
 
-struct RotationMiss {
+// Forces and torque / radius over the steps, as the effort of an objective.
+struct EffortWithTorque {
+  double weight;
   template <typename T>
-  bool operator()(const T* rotation, T* residuals) const {
-    residuals[0] = rotation[0] - 1.5;
-    residuals[1] = sqrt(0.3) * (rotation[1] - 2.0);
+  bool operator()(const T* u, const T* h, T* residuals) const {
+    using std::sqrt;
+    for (int j = 0; j < 3; ++j) residuals[j] = sqrt(weight * h[0]) * u[j];
     return true;
   }
 };
@@ -88,40 +104,32 @@ TEST(OwnTerms, SeeRotationsAndTorques) {
   const SolveReport known = SolveWith(with, {});
   ASSERT_EQ(known.termination, Termination::kConverged) << known.reason;
 
-  UserTerm rotation{.name = "rotation", .at = UserTerm::Timing::kEnd, .rotations = {0}};
-  rotation.function = std::make_shared<ceres::AutoDiffCostFunction<RotationMiss, 2, 2>>(new RotationMiss);
-  UserTerm torque{.name = "torque", .at = UserTerm::Timing::kEachStep, .torques = {0}, .with_length = true};
-  torque.function = std::make_shared<ceres::AutoDiffCostFunction<TorqueEffort, 1, 1, 1>>(
-      new TorqueEffort{0.5 * scene.objective.effort});
-  UserTerm effort{.name = "effort", .at = UserTerm::Timing::kEachStep, .forces = {0}, .with_length = true};
-  effort.function =
-      std::make_shared<ceres::AutoDiffCostFunction<Effort, 2, 2, 1>>(new Effort{0.5 * scene.objective.effort});
-  const SolveReport own = SolveWith(scene, {rotation, torque, effort});
+  HybridTerm rotation{.name = "rotation", .with_state = true};
+  rotation.function = std::make_shared<ceres::AutoDiffCostFunction<RotationMiss, 2, kState + 4>>(new RotationMiss);
+  HybridTerm effort{
+      .name = "effort", .at = HybridTerm::Timing::kEachInterval, .with_control = true, .with_length = true};
+  effort.function = std::make_shared<ceres::AutoDiffCostFunction<EffortWithTorque, 3, 3, 1>>(
+      new EffortWithTorque{0.5 * scene.objective.effort});
+  const SolveReport own = SolveWith(scene, {rotation, effort});
   ASSERT_EQ(own.termination, Termination::kConverged) << own.reason;
   EXPECT_NEAR(own.solution.loss, known.solution.loss, 1e-8 * known.solution.loss);
   ASSERT_EQ(own.solution.control.size(), known.solution.control.size());
   for (std::size_t i = 0; i < own.solution.control.size(); ++i) {
     EXPECT_NEAR(own.solution.control[i], known.solution.control[i], 1e-4);
   }
-
-  rotation.at = UserTerm::Timing::kEachStep;
-  rotation.rotations = {1};
-  EXPECT_THAT(SolveWith(scene, {rotation}).reason, HasSubstr("rotation in each step of disc 1"));
-  torque.torques = {1};
-  EXPECT_THAT(SolveWith(scene, {torque}).reason, HasSubstr("torque on disc 1"));
 }
 
 TEST(OwnTerms, CostsThatAScenesOwnWouldBe) {
   Scene with = Problem();
   with.objective.terminal.push_back({.body = 1, .target = Vec2d(0.3, 0.3), .weight = 2.5});
   with.objective.effort *= 1.5;
-  const SolveReport known = SolveWith(with, {});
+  const SolveReport known = SolveWith(with, {Nothing()});
 
   const Scene without = Problem();
-  UserTerm effort{.at = UserTerm::Timing::kEachStep, .forces = {0}, .with_length = true};
+  HybridTerm effort{.at = HybridTerm::Timing::kEachInterval, .with_control = true, .with_length = true};
   effort.function =
       std::make_shared<ceres::AutoDiffCostFunction<Effort, 2, 2, 1>>(new Effort{0.5 * without.objective.effort});
-  const SolveReport own = SolveWith(without, {FinalPosition(1, UserTerm::Role::kCost, std::sqrt(2.5)), effort});
+  const SolveReport own = SolveWith(without, {FinalPosition(1, HybridTerm::Role::kCost, std::sqrt(2.5)), effort});
   ASSERT_EQ(known.termination, Termination::kConverged) << known.reason;
   ASSERT_EQ(own.termination, Termination::kConverged) << own.reason;
   EXPECT_NEAR(own.guess.loss, known.guess.loss, 1e-12);
@@ -134,8 +142,8 @@ TEST(OwnTerms, CostsThatAScenesOwnWouldBe) {
 TEST(OwnTerms, AnEqualityIsAHardTerm) {
   Scene with = Problem();
   with.objective.terminal.push_back({.body = 1, .target = Vec2d(0.3, 0.3), .hard = true});
-  const SolveReport known = SolveWith(with, {});
-  const SolveReport own = SolveWith(Problem(), {FinalPosition(1, UserTerm::Role::kEquality, 1)});
+  const SolveReport known = SolveWith(with, {Nothing()});
+  const SolveReport own = SolveWith(Problem(), {FinalPosition(1, HybridTerm::Role::kEquality, 1)});
   ASSERT_EQ(known.termination, Termination::kConverged) << known.reason;
   ASSERT_EQ(own.termination, Termination::kConverged) << own.reason;
   EXPECT_NEAR(own.solution.loss, known.solution.loss, 1e-7 * known.solution.loss);
@@ -162,7 +170,10 @@ TEST(OwnTerms, AnInequalityIsABound) {
   Scene with = without;
   with.control.max_norm = {kMost};
   const SolveReport known = SolveWith(with, {});
-  UserTerm bound{.name = "ball", .at = UserTerm::Timing::kEachStep, .role = UserTerm::Role::kInequality, .forces = {0}};
+  HybridTerm bound{.name = "ball",
+                   .at = HybridTerm::Timing::kEachInterval,
+                   .role = HybridTerm::Role::kInequality,
+                   .with_control = true};
   bound.function = std::make_shared<ceres::AutoDiffCostFunction<Ball, 1, 2>>(new Ball{kMost});
   const SolveReport own = SolveWith(without, {bound});
   ASSERT_EQ(known.termination, Termination::kConverged) << known.reason;
@@ -175,7 +186,7 @@ TEST(OwnTerms, AnInequalityIsABound) {
 }
 
 TEST(OwnTerms, UnitsAreThoseOfTheScene) {
-  const SolveReport one = SolveWith(Problem(), {FinalPosition(1, UserTerm::Role::kCost, 1)});
+  const SolveReport one = SolveWith(Problem(), {FinalPosition(1, HybridTerm::Role::kCost, 1)});
   // All lengths times 1024, and the loss with their squares.
   Scene large = Problem();
   for (Body& body : large.bodies) {
@@ -184,81 +195,25 @@ TEST(OwnTerms, UnitsAreThoseOfTheScene) {
     body.radius *= 1024;
   }
   for (Vec2d& force : large.control.initial) force *= 1024;
-  UserTerm term{.at = UserTerm::Timing::kEnd, .states = {1}};
-  term.function = std::make_shared<ceres::AutoDiffCostFunction<FinalMiss, 2, 4>>(new FinalMiss{1, 0.3 * 1024});
+  HybridTerm term{.with_state = true};
+  term.function = std::make_shared<ceres::AutoDiffCostFunction<FinalMiss, 2, kState>>(new FinalMiss{1, 1, 0.3 * 1024});
   const SolveReport other = SolveWith(large, {term});
   ASSERT_EQ(one.termination, Termination::kConverged) << one.reason;
   EXPECT_EQ(other.work.iterations, one.work.iterations);
   EXPECT_NEAR(other.solution.loss, one.solution.loss * 1024 * 1024, 1e-9 * other.solution.loss);
 }
 
-// A cost of the states of two discs, a force and a length, no two entries alike.
-struct Mixed {
-  template <typename T>
-  bool operator()(const T* x, const T* y, const T* u, const T* h, T* residuals) const {
-    residuals[0] = x[0] * y[1] + x[2] * x[3] * h[0] - y[2];
-    residuals[1] = u[0] * u[1] * h[0] * h[0] + 3.0 * x[1] - y[0] * y[3];
-    return true;
-  }
-};
-
-// In units that share no factor: the values of the function in SI units, and its derivatives.
-TEST(OwnTerms, HaveTheirDerivativesInEveryUnit) {
-  const Units units{.length = 4, .time = 0.5, .mass = 8, .loss = 32, .origin = Vec2d(64, -128)};
-  Scene scene;
-  scene.units = units;
-  scene.bodies.resize(2);
-  UserTerm term{.role = UserTerm::Role::kEquality, .states = {0, 1}, .forces = {0}, .with_length = true, .scale = 0.25};
-  term.function = std::make_shared<ceres::AutoDiffCostFunction<Mixed, 2, 4, 4, 2, 1>>(new Mixed);
-  const std::array<double, 4> x{0.3, -0.7, 1.1, 0.6}, y{-0.2, 0.9, -1.3, 0.4};
-  const std::array<double, 2> u{0.8, -1.7};
-  constexpr double kLength = 0.9;
-
-  for (const UserTerm::Timing at : {UserTerm::Timing::kEachStep, UserTerm::Timing::kEnd}) {
-    term.at = at;
-    const double length = 0.5 * kLength;
-    const auto in_si = [](const std::array<double, 4>& z) {
-      return std::array<double, 4>{64 + 4 * z[0], -128 + 4 * z[1], 8 * z[2], 8 * z[3]};
-    };
-    const std::array<double, 4> x_si = in_si(x), y_si = in_si(y);
-    const std::array<double, 2> u_si{128 * u[0], 128 * u[1]};  // kg m / s^2
-    std::array<double, 2> expected;
-    Mixed()(x_si.data(), y_si.data(), u_si.data(), &length, expected.data());
-
-    const UserTermCost cost(term, scene);
-    const std::vector<const double*> blocks{x.data(), y.data(), u.data(), &kLength};
-    std::array<double, 2> residuals;
-    ASSERT_TRUE(cost.Evaluate(blocks.data(), residuals.data(), nullptr));
-    for (int r = 0; r < 2; ++r) EXPECT_NEAR(residuals[r], expected[r] / 0.25, 1e-12 * std::abs(expected[r]));
-    ceres::GradientChecker checker(&cost, static_cast<const std::vector<const ceres::Manifold*>*>(nullptr), {});
-    ceres::GradientChecker::ProbeResults results;
-    EXPECT_TRUE(checker.Probe(blocks.data(), 1e-8, &results)) << results.error_log;
-  }
-
-  // A cost's square is a loss.
-  term.role = UserTerm::Role::kCost;
-  std::array<double, 2> constraint, residuals;
-  const std::vector<const double*> blocks{x.data(), y.data(), u.data(), &kLength};
-  ASSERT_TRUE(UserTermCost(term, scene).Evaluate(blocks.data(), residuals.data(), nullptr));
-  term.role = UserTerm::Role::kEquality;
-  ASSERT_TRUE(UserTermCost(term, scene).Evaluate(blocks.data(), constraint.data(), nullptr));
-  for (int r = 0; r < 2; ++r) {
-    EXPECT_NEAR(
-        residuals[r] * residuals[r], std::pow(0.25 * constraint[r], 2) / 32, 1e-12 * residuals[r] * residuals[r]);
-  }
-}
-
 struct Nowhere {
   template <typename T>
   bool operator()(const T* x, T* residuals) const {
-    residuals[0] = x[0] * x[0] + x[1] * x[1] + 1.0;
+    residuals[0] = x[4] * x[4] + x[5] * x[5] + 1.0;
     return true;
   }
 };
 
 TEST(OwnTerms, AConstraintOutOfReachIsSaid) {
-  UserTerm term{.name = "nowhere", .at = UserTerm::Timing::kEnd, .role = UserTerm::Role::kEquality, .states = {1}};
-  term.function = std::make_shared<ceres::AutoDiffCostFunction<Nowhere, 1, 4>>(new Nowhere);
+  HybridTerm term{.name = "nowhere", .role = HybridTerm::Role::kEquality, .with_state = true};
+  term.function = std::make_shared<ceres::AutoDiffCostFunction<Nowhere, 1, kState>>(new Nowhere);
   const SolveReport report = SolveWith(Problem(), {term});
   EXPECT_NE(report.termination, Termination::kConverged);
   EXPECT_THAT(report.reason, HasSubstr("nowhere"));
@@ -266,27 +221,53 @@ TEST(OwnTerms, AConstraintOutOfReachIsSaid) {
 
 TEST(OwnTerms, WrongOnesAreRefusedByName) {
   const Scene scene = Problem();
-  const auto reason_of = [&](UserTerm term, const char* solver = "ceres_phases") {
+  const auto reason_of = [&](HybridTerm term, const char* solver = "ceres_phases") {
     const SolveReport report = SolveWith(scene, {std::move(term)}, solver);
     EXPECT_EQ(report.termination, Termination::kNotApplicable);
     return report.reason;
   };
-  UserTerm term = FinalPosition(1, UserTerm::Role::kCost, 1);
-  EXPECT_THAT(reason_of(term, "gd"), HasSubstr("ceres_phases"));
-  term.states = {2};
-  EXPECT_THAT(reason_of(term), HasSubstr("aim: found the state of disc 2, expected 0 to 1"));
-  term.states = {0, 1};
-  EXPECT_THAT(reason_of(term), HasSubstr("sizes [4], expected [4, 4]"));
-  term.states = {1};
-  term.forces = {1};
-  EXPECT_THAT(reason_of(term), HasSubstr("disc 1, expected a disc that is controlled"));
-  term.forces = {0};
-  EXPECT_THAT(reason_of(term), HasSubstr("a force at the final time"));
-  term.forces = {};
-  term.scale = 0;
-  EXPECT_THAT(reason_of(term), HasSubstr("a scale above zero"));
+  HybridTerm term = FinalPosition(1, HybridTerm::Role::kCost, 1);
+  EXPECT_THAT(reason_of(term, "ceres_shooting"), HasSubstr("ceres_phases"));
+  term.with_length = true;
+  EXPECT_THAT(reason_of(term), HasSubstr("aim"));
+  term.with_length = false;
+  term.role = HybridTerm::Role::kEquality;
+  EXPECT_THAT(reason_of(term, "ceres_lm"), HasSubstr("aim is a constraint"));
   term.function = nullptr;
-  EXPECT_THAT(reason_of(term), HasSubstr("no function"));
+  EXPECT_THAT(reason_of(term), HasSubstr("aim"));
+}
+
+// A cost at an event, of the state behind it, and a certificate with it: by shooting and in phases.
+struct Rebound {
+  template <typename T>
+  bool operator()(const T* x, T* residuals) const {
+    residuals[0] = 0.2 * x[6];
+    residuals[1] = 0.2 * x[7];
+    return true;
+  }
+};
+
+TEST(OwnTerms, AreReadAtImpactsAndCertified) {
+  HybridTerm term{.name = "rebound",
+                  .at = HybridTerm::Timing::kEvent,
+                  .event = "striker-target",
+                  .occurrence = 0,
+                  .with_state = true};
+  term.function = std::make_shared<ceres::AutoDiffCostFunction<Rebound, 2, kState>>(new Rebound);
+  const SolveReport phases = SolveWith(Problem(), {term});
+  ASSERT_EQ(phases.termination, Termination::kConverged) << phases.reason;
+  ASSERT_TRUE(phases.certificate);
+  EXPECT_TRUE(phases.certificate->IsStationary()) << phases.certificate->reason;
+  // Without gravity the target keeps the velocity that the impact gives it.
+  HybridTerm at_end = term;
+  at_end.at = HybridTerm::Timing::kEnd;
+  at_end.event = "";
+  at_end.occurrence = -1;
+  const SolveReport known = SolveWith(Problem(), {at_end});
+  ASSERT_EQ(known.termination, Termination::kConverged) << known.reason;
+  EXPECT_NEAR(phases.solution.loss, known.solution.loss, 1e-9 * known.solution.loss);
+  const SolveReport shooting = SolveWith(Problem(), {at_end}, "ceres_lbfgs");
+  EXPECT_NEAR(shooting.solution.loss, known.solution.loss, 1e-3 * known.solution.loss);  // on equal intervals
 }
 
 }  // namespace

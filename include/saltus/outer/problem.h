@@ -24,9 +24,9 @@
 #include <utility>
 #include <vector>
 
-#include "saltus/control/user_term.h"  // before kEnd, which its enumerator would shadow
 #include "saltus/hybrid/compact_system.h"
 #include "saltus/hybrid/hybrid_problem.h"
+#include "saltus/scene/scene.h"  // before kEnd and kAlways, which its enumerators would shadow
 
 namespace saltus {
 

@@ -16,7 +16,7 @@
 
 #include "saltus/control/contact_sequence.h"
 #include "saltus/control/surrogate.h"
-#include "saltus/control/user_term.h"
+#include "saltus/hybrid/hybrid_problem.h"
 #include "saltus/optimality/certificate.h"
 #include "saltus/scene/scene.h"
 #include "saltus/simulate/registry.h"
@@ -34,9 +34,9 @@ struct SolveRequest {
   Scene scene;
   Contact contact;
   Precision precision = Precision::kDouble;
-  // User-defined terms in addition to the scene's objective and constraints, in SI units; for solvers that support
-  // them.
-  std::vector<UserTerm> terms = {};
+  // User-defined terms in addition to the scene's objective and constraints: terms of the hybrid problem of the scene
+  // (control/scene_problem.h), in SI units; for solvers that support them.
+  std::vector<HybridTerm> terms = {};
 };
 
 // Limits and starts of a search over collision sequences. The limit that is reached first ends it.
@@ -144,9 +144,10 @@ struct SearchStatistics {
 struct Solution {
   double loss = 0;  // under the contact model
   // The violation of constraints: the largest of hard terms and bounds on the control, in natural units of the scene
-  // (units.h), and of constraints of the user. It is infinite if discs that must not touch do so. Residuals of a hybrid
-  // problem that change by less than 0.1 or more than 500 as the states, controls and parameters that they read change
-  // by their sizes in the motion of the guess are divided by this change. Only solvers that support constraints set it.
+  // (units.h). It is infinite if discs that must not touch do so. Residuals of a hybrid problem, which a scene with
+  // user-defined terms is too, that change by less than 0.1 or more than 500 as the states, controls and parameters
+  // that they read change by their sizes in the motion of the guess are divided by this change. Only solvers that
+  // support constraints set it.
   double violation = 0;
   std::vector<double> initial_state = {};  // B x 4 or B x 6, or the state of a hybrid system
   std::vector<double> control = {};        // K x control_width() forces, N; K x m for a hybrid system
@@ -223,7 +224,7 @@ struct SolverEntry {
   bool takes_surrogate = false;  // supports surrogates, because it uses the gradient as a direction only
   bool any_units = false;        // has no thresholds; the others compute in the natural units of the scene (units.h)
   bool constraints = false;      // supports what NonTerminalFeatures() names, with exceptions by reason_not_applicable
-  bool user_terms = false;       // supports SolveRequest::terms
+  bool user_terms = false;       // supports SolveRequest::terms, with the scene as a hybrid problem
   bool design = false;           // supports Scene::design
   // Whether it solves a scene with Scene::design and a control as a hybrid problem whose parameters are Scene::design.
   bool given_design = false;

@@ -26,9 +26,8 @@ PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& sta
   attempt.speeds = solution.speeds;
   attempt.converged = solution.minimum.converged;
   attempt.trial = std::move(solution.trial);
-  const std::vector<UserTerm> no_terms;
   attempt.realized = solution.realized;
-  FollowEvents(DiscMotions(scene, no_terms), plan, solution.intervals, &attempt);
+  FollowEvents(DiscMotions(scene), plan, solution.intervals, &attempt);
   // Where many impacts leave the variables of arcs ill conditioned, the last digits are the transcription's.
   if (attempt.converged && attempt.realized &&
       run->Certify(attempt.trial).verdict == Certificate::Verdict::kNotStationary) {

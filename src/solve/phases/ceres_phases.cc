@@ -60,8 +60,8 @@ std::optional<Phases> PhasesOf(const Scene& scene, const Trial& trial) {
 
 bool ArcsCanTake(const SolveRequest& request) {
   const Scene& scene = request.scene;
-  return request.terms.empty() && scene.optimize == Optimize::kControl && scene.objective.effort > 0 &&
-         !scene.Spins() && NonTerminalFeatures(scene).empty();
+  return scene.optimize == Optimize::kControl && scene.objective.effort > 0 && !scene.Spins() &&
+         NonTerminalFeatures(scene).empty();
 }
 
 // A solve along a plan by a cost for every step. Where many iterations have not led it to the optimum, or rounding
@@ -99,10 +99,10 @@ SolveReport SolveUnderModel(const SolveRequest& request, const SolverOptions& op
     return exact;
   };
   if (exact.termination != Termination::kConverged) return give_up(exact.reason);
-  Trial trial{exact.solution.control, exact.solution.durations, {}, {}, exact.solution.initial_state};
+  Trial trial{exact.solution.control, exact.solution.durations, {}, exact.solution.initial_state};
   Scene scene = request.scene;
   scene.duration = DurationOf(trial);
-  Simulate(scene, request.terms, &trial);
+  Simulate(scene, &trial);
   std::optional<Phases> phases = PhasesOf(scene, trial);
   if (!phases) {
     exact.termination = Termination::kNoProgress;
@@ -116,7 +116,7 @@ SolveReport SolveUnderModel(const SolveRequest& request, const SolverOptions& op
   run.report().work.evaluations = exact.work.evaluations;
   ContactSequence apart;
   for (const NoContact& pair : scene.no_contact) apart.push_back({pair.a, pair.b, pair.plane});
-  const ScenePhases along(scene, request.terms, phases->plan, WaypointsOf(scene), apart, flight.get());
+  const ScenePhases along(scene, phases->plan, WaypointsOf(scene), apart, flight.get());
   const std::vector<double> overlaps(phases->times.size());
   const auto transcription = along.Make(trial, phases->times, overlaps, phases->steps, /*margin=*/0);
   if (transcription == nullptr) {
@@ -165,7 +165,7 @@ SolveReport SolveToRegions(const SolveRequest& request, const SolverOptions& opt
   chain.Add(first);
   Trial start = run.guess();
   if (first.solution.violation <= kFeasible) {
-    start = {first.solution.control, first.solution.durations, {}, {}, first.solution.initial_state};
+    start = {first.solution.control, first.solution.durations, {}, first.solution.initial_state};
     run.Simulate(&start);
   }
   const SolverOptions rest = chain.Next();

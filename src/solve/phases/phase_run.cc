@@ -89,13 +89,13 @@ double ViolationOf(const Scene& scene, const Trial& trial) {
   if (std::any_of(met.begin(), met.end(), [&](const Candidate& c) { return IsForbidden(scene, c); })) {
     return std::numeric_limits<double>::infinity();
   }
-  return std::max(trial.own.violation, scene.objective.HasConstraints() ? LargestMiss(scene, trial).size : 0.0);
+  return scene.objective.HasConstraints() ? LargestMiss(scene, trial).size : 0.0;
 }
 
-// Returns the largest violation, that of the bounds of the control included; 0 if the scene and the user state no
-// constraints, whatever the motion.
+// Returns the largest violation, that of the bounds of the control included; 0 if the scene states no constraints,
+// whatever the motion.
 double ViolationOfAll(const Scene& scene, const Trial& trial) {
-  const bool any = scene.objective.HasConstraints() || !scene.no_contact.empty() || trial.own.violation > 0;
+  const bool any = scene.objective.HasConstraints() || !scene.no_contact.empty();
   double largest = any ? ViolationOf(scene, trial) : 0;
   std::vector<double> within = trial.control;
   MoveWithinBounds(scene, within);
@@ -112,14 +112,10 @@ double DiscMotions::NodeMargin(const Trial& trial) const {
 }
 
 PhaseRun::PhaseRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options)
-    : PhaseRun(solver, request, options, GuessTrial(request.scene, request.terms, options.guess)) {}
+    : PhaseRun(solver, request, options, GuessTrial(request.scene, options.guess)) {}
 
 PhaseRun::PhaseRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options, Trial start)
-    : SequenceRun(solver, options),
-      DiscMotions(request.scene, request.terms),
-      scene_(request.scene),
-      terms_(request.terms),
-      guess_(std::move(start)) {
+    : SequenceRun(solver, options), DiscMotions(request.scene), scene_(request.scene), guess_(std::move(start)) {
   report_.contact = request.contact.name();
   if (guess_.exact.ok) Record(guess_.exact.loss);
 }
@@ -204,8 +200,7 @@ std::vector<std::pair<size_t, int>> PhaseRun::RegimesAtBorders(const PhasePlan& 
 }
 
 bool PhaseRun::HasCertificate() const {
-  if (!terms_.empty() || scene_.optimize != Optimize::kControl) return false;
-  return scene_.objective.effort > 0 || scene_.control.IsBounded();
+  return scene_.optimize == Optimize::kControl && (scene_.objective.effort > 0 || scene_.control.IsBounded());
 }
 
 const Certificate& PhaseRun::Certify(const Trial& trial) {
@@ -246,11 +241,6 @@ std::string PhaseRun::KinksOf(const PhasePlan& plan) const {
 
 std::string PhaseRun::DescribeMiss(const Trial& trial) const {
   const Miss miss = LargestMiss(scene_, trial);
-  if (trial.own.violation > miss.size) {
-    char part[40];
-    std::snprintf(part, sizeof part, "%.6g", trial.own.violation);
-    return std::string(part) + " of its scale, by " + trial.own.worst;
-  }
   constexpr const char* kUnits[] = {" m", " m/s", " rad", " rad/s"};  // by quantity
   char text[40];
   std::snprintf(text, sizeof text, "%.6g", miss.size * UnitFactors(scene_.units, {}).of(miss.quantity));
@@ -268,12 +258,12 @@ SolveReport PhaseRun::Finish(const Trial& trial, double loss, Termination termin
 }
 
 PhaseRun::Transcriber::Transcriber(const PhaseRun& run, const PhasePlan& plan, const PlanStart& start)
-    : DiscMotions(scene_, run.terms()), scene_(run.scene()) {
+    : DiscMotions(scene_), scene_(run.scene()) {
   if (scene_.objective.duration) scene_.duration = DurationOf(start.trial);
   if (plan.only_violation) AimAtConstraints(start.trial);
   for (const NoContact& pair : scene_.no_contact) apart_.push_back({pair.a, pair.b, pair.plane});
   apart_.insert(apart_.end(), plan.apart.begin(), plan.apart.end());
-  phases_.emplace(scene_, run.terms(), plan, WaypointsOf(run.scene()), apart_);
+  phases_.emplace(scene_, plan, WaypointsOf(run.scene()), apart_);
 }
 
 // In natural units, a force that matters costs far less than the violations that it removes. The target of a region is

@@ -20,17 +20,17 @@ using PhasePlan = PlanOf<Candidate>;
 using PlanStart = PlanStartOf<Trial>;
 using PlanAttempt = PlanAttemptOf<Trial>;
 
-// Exact motions of a scene, which must outlive this object as the terms must.
+// Exact motions of a scene, which must outlive this object.
 class DiscMotions {
  public:
-  DiscMotions(const Scene& scene, const std::vector<UserTerm>& terms) : scene_(&scene), terms_(&terms) {}
+  explicit DiscMotions(const Scene& scene) : scene_(&scene) {}
 
-  void Simulate(Trial* trial) const { saltus::Simulate(*scene_, *terms_, trial); }
+  void Simulate(Trial* trial) const { saltus::Simulate(*scene_, trial); }
   bool IsRealized(const Trial& trial, const ContactSequence& sequence, const std::vector<double>& times) const {
     return HasEvents(trial.exact, sequence, times, scene_->duration);
   }
-  // Returns the violation of hard terms in the scene's units, or of a user's constraints; infinite if the trial has not
-  // run, or if a pair that must not touch has.
+  // Returns the violation of hard terms in the scene's units; infinite if the trial has not run, or if a pair that must
+  // not touch has.
   double ViolationOf(const Trial& trial) const;
   // The exact model moves an impact that is a little after a node there.
   double NodeMargin(const Trial& trial) const;
@@ -38,7 +38,6 @@ class DiscMotions {
 
  private:
   const Scene* scene_;
-  const std::vector<UserTerm>* terms_;
 };
 
 class PhaseRun final : public SequenceRun, private DiscMotions {
@@ -54,7 +53,6 @@ class PhaseRun final : public SequenceRun, private DiscMotions {
   PhaseRun(std::string_view solver, const SolveRequest& request, const SolverOptions& options, Trial start);
 
   const Scene& scene() const { return scene_; }
-  const std::vector<UserTerm>& terms() const { return terms_; }
   const Trial& guess() const { return guess_; }
   const std::optional<ContactSequence>& given_sequence() const { return options_.sequences.given; }
   int num_steps() const { return scene_.steps; }
@@ -119,7 +117,6 @@ class PhaseRun final : public SequenceRun, private DiscMotions {
 
  private:
   const Scene& scene_;
-  const std::vector<UserTerm>& terms_;
   Trial guess_;
   struct Certified {
     std::vector<double> control, durations;

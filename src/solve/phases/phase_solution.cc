@@ -104,7 +104,7 @@ bool SolveOn(const Scene& scene, const std::vector<int>& intervals, const PhaseG
 
 void SimulateSolution(const Scene& scene, PhaseSolution* solution) {
   solution->valid = true;
-  Simulate(scene, {}, &solution->trial);
+  Simulate(scene, &solution->trial);
   const std::vector<double> impacts(solution->times.begin(), solution->times.end() - 1);
   solution->realized = HasEvents(solution->trial.exact, solution->sequence, impacts, scene.duration);
 }
@@ -174,21 +174,17 @@ Scene BeginningAs(const Trial& trial, Scene scene) {
   return scene;
 }
 
-void Simulate(const Scene& scene, const std::vector<UserTerm>& terms, Trial* trial) {
+void Simulate(const Scene& scene, Trial* trial) {
   trial->exact = SimulateUpTo(kMostImpactsOfMotion, scene, InitialOf(scene, *trial), trial->control, trial->durations);
-  trial->own = {};
-  if (terms.empty() || !trial->exact.ok) return;
-  trial->own = EvaluateUserTerms(terms, scene, FlightOf(scene, *trial), trial->control, trial->durations);
-  trial->exact.loss += trial->own.cost;
 }
 
-Trial GuessTrial(const Scene& scene, const std::vector<UserTerm>& terms, const std::optional<ControlGuess>& given) {
-  Trial trial{InitialControl(scene, scene.steps), std::vector<double>(scene.steps, scene.dt()), {}, {}};
+Trial GuessTrial(const Scene& scene, const std::optional<ControlGuess>& given) {
+  Trial trial{InitialControl(scene, scene.steps), std::vector<double>(scene.steps, scene.dt()), {}};
   if (given) {
     trial.control = given->control;
     trial.durations = LengthsOf(*given, scene);
   }
-  Simulate(scene, terms, &trial);
+  Simulate(scene, &trial);
   return trial;
 }
 
@@ -247,7 +243,7 @@ std::vector<Trial> SearchBothSides(const Scene& scene, const Trial& trial, const
   return StepsToBothSides(trial, size, [&](double length, Trial* moved) {
     for (size_t i = 0; i < moved->control.size(); ++i) moved->control[i] += length * direction[i];
     MoveWithinBounds(scene, moved->control);
-    Simulate(scene, {}, moved);
+    Simulate(scene, moved);
   });
 }
 

@@ -6,7 +6,6 @@
 #include <string>
 #include <vector>
 
-#include "control/user_term_cost.h"
 #include "saltus/control/contact_sequence.h"
 #include "saltus/simulate/exact_run.h"
 #include "saltus/solve/solver.h"
@@ -30,8 +29,7 @@ std::string UnsupportedByEventPhases(const SolveRequest& request);
 // A control on intervals of any length, and what it does in exact dynamics.
 struct Trial {
   std::vector<double> control, durations;
-  ExactRun exact;  // its loss with the costs of a user's own
-  UserTermValues own;
+  ExactRun exact;
   std::vector<double> initial = {};  // where it is to be found; empty: the scene's
 };
 
@@ -44,10 +42,9 @@ Scene BeginningAs(const Trial& trial, Scene scene);
 inline constexpr int kMostImpactsOfMotion = 1000;
 
 // Runs trial->control, up to so many impacts.
-void Simulate(const Scene& scene, const std::vector<UserTerm>& terms, Trial* trial);
+void Simulate(const Scene& scene, Trial* trial);
 // The control to start from: `given`, or else the scene's.
-Trial GuessTrial(const Scene& scene, const std::vector<UserTerm>& terms = {},
-                 const std::optional<ControlGuess>& given = std::nullopt);
+Trial GuessTrial(const Scene& scene, const std::optional<ControlGuess>& given = std::nullopt);
 // Precondition: trial.exact.ok.
 Flight FlightOf(const Scene& scene, const Trial& trial);
 

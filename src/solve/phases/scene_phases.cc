@@ -10,18 +10,16 @@
 #include "control/control_bounds.h"
 #include "control/phase_costs.h"
 #include "control/scene_constraints.h"
-#include "control/user_term_cost.h"
 
 namespace saltus {
 namespace {
 
 using Function = std::shared_ptr<const ceres::CostFunction>;
 
-// A block of a function: some numbers of a block of a hybrid term, each times a factor.
+// A block of a function: some numbers of a block of a hybrid term.
 struct Picked {
   int block;
   std::vector<int> places;
-  double factor = 1;
 };
 
 // A function of some numbers of the blocks of a hybrid term.
@@ -47,7 +45,7 @@ class PickedCost final : public ceres::CostFunction {
     const int rows = num_residuals();
     double* value = values_.data();
     for (const Picked& one : picked_) {
-      for (const int place : one.places) *value++ = one.factor * parameters[one.block][place];
+      for (const int place : one.places) *value++ = parameters[one.block][place];
     }
     if (!function_->Evaluate(blocks_.data(), residuals, jacobians != nullptr ? by_.data() : nullptr)) return false;
     if (jacobians == nullptr) return true;
@@ -55,12 +53,11 @@ class PickedCost final : public ceres::CostFunction {
       if (jacobians[block] != nullptr) std::fill_n(jacobians[block], rows * parameter_block_sizes()[block], 0.0);
     }
     for (std::size_t i = 0; i < picked_.size(); ++i) {
-      const auto& [block, places, factor] = picked_[i];
+      const auto& [block, places] = picked_[i];
       if (jacobians[block] == nullptr) continue;
       for (int row = 0; row < rows; ++row) {
         for (std::size_t k = 0; k < places.size(); ++k) {
-          jacobians[block][row * parameter_block_sizes()[block] + places[k]] +=
-              factor * by_[i][row * places.size() + k];
+          jacobians[block][row * parameter_block_sizes()[block] + places[k]] += by_[i][row * places.size() + k];
         }
       }
     }
@@ -94,13 +91,11 @@ class TermMaker {
   }
 
   // Add the next block of the function.
-  void ReadState(int body) { ReadState(Successive(4 * body, 4), 1); }
-  void ReadRotation(int body) {  // as [r angle, r w]
-    ReadState(Successive(4 * scene_.num_bodies() + kSpin * body, kSpin), scene_.bodies[body].radius);
-  }
-  void ReadForce(int body) { ReadControl(Successive(2 * PlaceIn(scene_.control.bodies, body), 2)); }
-  void ReadTorque(int body) {
-    ReadControl({2 * scene_.num_controlled() + PlaceIn(scene_.control.torque_bodies, body)});
+  void ReadState(int body) { Read(0, Successive(4 * body, 4), &term_.reads_states); }
+  void ReadForce(int body) {
+    const std::vector<int>& bodies = scene_.control.bodies;
+    const auto place = static_cast<int>(std::ranges::find(bodies, body) - bodies.begin());
+    Read(of_control_, Successive(2 * place, 2), &term_.reads_controls);
   }
   void ReadTime() { picked_.push_back({static_cast<int>(sizes_.size()) - 1 - term_.with_length, {0}}); }
   void ReadLength() { picked_.push_back({static_cast<int>(sizes_.size()) - 1, {0}}); }
@@ -111,16 +106,9 @@ class TermMaker {
   }
 
  private:
-  static int PlaceIn(const std::vector<int>& bodies, int body) {
-    return static_cast<int>(std::ranges::find(bodies, body) - bodies.begin());
-  }
-  void ReadState(std::vector<int> places, double factor) {
-    term_.reads_states.insert(term_.reads_states.end(), places.begin(), places.end());
-    picked_.push_back({0, std::move(places), factor});
-  }
-  void ReadControl(std::vector<int> places) {
-    term_.reads_controls.insert(term_.reads_controls.end(), places.begin(), places.end());
-    picked_.push_back({of_control_, std::move(places)});
+  void Read(int block, std::vector<int> places, std::vector<int>* reads) {
+    reads->insert(reads->end(), places.begin(), places.end());
+    picked_.push_back({block, std::move(places)});
   }
 
   const Scene& scene_;
@@ -158,8 +146,8 @@ std::vector<double> WaypointsOf(const Scene& scene) {
   return {times.begin(), times.end()};
 }
 
-ScenePhases::ScenePhases(const Scene& scene, const std::vector<UserTerm>& terms, const PlanOf<Candidate>& plan,
-                         const std::vector<double>& waypoints, const ContactSequence& apart, const Simulator* flight)
+ScenePhases::ScenePhases(const Scene& scene, const PlanOf<Candidate>& plan, const std::vector<double>& waypoints,
+                         const ContactSequence& apart, const Simulator* flight)
     : scene_(scene), problem_(MakeHybridProblem(WithoutSteps(scene))) {
   if (flight != nullptr) problem_.system = SceneSystemOf(WithoutSteps(scene), SceneParameters::kNone, flight);
   const HybridFunctions& functions = problem_.system.functions();
@@ -200,7 +188,6 @@ ScenePhases::ScenePhases(const Scene& scene, const std::vector<UserTerm>& terms,
   AddEfforts();
   for (const RunningTerm& term : scene.objective.running) AddRunning(term);
   for (const SpeedLimit& limit : scene.objective.limits) AddLimit(limit);
-  for (const UserTerm& term : terms) AddOwn(term);
   if (scene.optimize == Optimize::kPosition) AddSeparationAtStart();
 }
 
@@ -269,27 +256,6 @@ void ScenePhases::AddLimit(const SpeedLimit& limit) {
            .with_state = true});
     }
   }
-}
-
-void ScenePhases::AddOwn(const UserTerm& term) {
-  using enum UserTerm::Role;
-  const bool at_end = term.at == UserTerm::Timing::kEnd;
-  TermMaker maker(scene_,
-                  {.name = term.name,
-                   .at = at_end ? HybridTerm::Timing::kEnd : HybridTerm::Timing::kEachInterval,
-                   .role = term.role == kCost       ? HybridTerm::Role::kCost
-                           : term.role == kEquality ? HybridTerm::Role::kEquality
-                                                    : HybridTerm::Role::kInequality,
-                   .with_state = !term.states.empty() || !term.rotations.empty(),
-                   .with_control = !term.forces.empty() || !term.torques.empty(),
-                   .with_time = term.with_length && at_end,
-                   .with_length = term.with_length && !at_end});
-  for (const int body : term.states) maker.ReadState(body);
-  for (const int body : term.forces) maker.ReadForce(body);
-  for (const int body : term.rotations) maker.ReadRotation(body);
-  for (const int body : term.torques) maker.ReadTorque(body);
-  if (term.with_length) maker.ReadLength();  // the last block, or the final time
-  problem_.terms.push_back(std::move(maker).Make(std::make_shared<UserTermCost>(term, scene_)));
 }
 
 // Adds that discs do not overlap at the start, if their positions are optimized.

@@ -1,15 +1,14 @@
 // A plan of a scene of discs as one of its hybrid system (scene_problem.h), for the transcription of hybrid systems.
 //
 // The scene is one without units: its lengths, times and loss are of order one. Terms are those of the hybrid problem
-// of the scene, but for the effort, running terms, limits of the speed and own terms, which stay squares and limits of
-// single steps, and read no other discs than they name.
+// of the scene, but for the effort, running terms and limits of the speed, which stay squares and limits of single
+// steps, and read no other discs than they name.
 #pragma once
 
 #include <memory>
 #include <vector>
 
 #include "saltus/control/contact_sequence.h"
-#include "saltus/control/user_term.h"
 #include "saltus/hybrid/hybrid_problem.h"
 #include "saltus/simulate/simulator.h"
 #include "solve/phases/hybrid_transcription.h"
@@ -23,9 +22,9 @@ class ScenePhases {
   // The instants that the plan has besides impacts are those of `waypoints`, in their order, of which the scene may
   // have some. The pairs of `apart` never come nearer than the distance at which they touch, except for the phases that
   // an impact of theirs begins or ends. Discs fly as in a step of `flight`, which must outlive this object and fly over
-  // any length; if it is null, exactly. `terms` must outlive it too.
-  ScenePhases(const Scene& scene, const std::vector<UserTerm>& terms, const PlanOf<Candidate>& plan,
-              const std::vector<double>& waypoints, const ContactSequence& apart, const Simulator* flight = nullptr);
+  // any length; if it is null, exactly.
+  ScenePhases(const Scene& scene, const PlanOf<Candidate>& plan, const std::vector<double>& waypoints,
+              const ContactSequence& apart, const Simulator* flight = nullptr);
 
   // Makes the transcription with so many steps of each phase, along the cuts at these times, with events that come
   // early by `overlaps` and gaps that stay open by `margin`. Nodes start where the discs get under the control of
@@ -40,7 +39,6 @@ class ScenePhases {
   void AddEfforts();
   void AddRunning(const RunningTerm& term);
   void AddLimit(const SpeedLimit& limit);
-  void AddOwn(const UserTerm& term);
   void AddSeparationAtStart();
 
   Scene scene_;

@@ -98,7 +98,6 @@ std::string Describe(const SolveRequest& request, const GlobalBound& bound, doub
 
 std::string UnsupportedByGlobalSearch(const SolveRequest& request) {
   if (std::string why = UnsupportedByModeSearch(request); !why.empty()) return why;
-  if (!request.terms.empty()) return "the global bound does not support user-defined cost terms";
   return UnsupportedByGlobalBound(request.scene);
 }
 

@@ -551,8 +551,7 @@ std::string UnsupportedByModeSearch(const SolveRequest& request) {
 }
 
 SolveReport SolveByModeSearch(const SolveRequest& request, const SolverOptions& options) {
-  const bool arcs_can =
-      request.terms.empty() && NonTerminalFeatures(request.scene).empty() && UnsupportedByEventPhases(request).empty();
+  const bool arcs_can = NonTerminalFeatures(request.scene).empty() && UnsupportedByEventPhases(request).empty();
   if (!arcs_can) return SearchByPhases(request, options);
   PhaseRun run("mode_search", request, options);
   if (auto refused = options.sequences.search ? run.MotionFailure() : run.StartFailure()) return *refused;

@@ -61,9 +61,9 @@ class DiscSearch {
     optima.evaluations = found.work.evaluations;
     if (found.searched) optima.work = found.searched->work;
     if (found.solution.control.empty()) return optima;
-    Trial& trial = optima.best.emplace(Trial{found.solution.control, found.solution.durations, {}, {}});
+    Trial& trial = optima.best.emplace(Trial{found.solution.control, found.solution.durations, {}});
     if (trial.durations.empty()) trial.durations.assign(scene_.steps, scene_.dt());
-    Simulate(scene_, request_.terms, &trial);
+    Simulate(scene_, &trial);
     optima.is_bound = !scene_.objective.duration && !HasGoalRegion(scene_);
     for (const LocalOptimum& other : found.optima) optima.others.emplace_back(other.loss, other.sequence);
     return optima;
@@ -96,7 +96,7 @@ class DiscSearch {
     trial.control = finding.report.solution.control;
     trial.durations = finding.report.solution.durations;
     if (scene_.optimize != Optimize::kControl) trial.initial = finding.report.solution.initial_state;
-    Simulate(scene_, request_.terms, &trial);
+    Simulate(scene_, &trial);
     return finding;
   }
 
@@ -118,13 +118,13 @@ class DiscSearch {
     } else {
       trial->initial = report.solution.initial_state;
     }
-    Simulate(scene_, request_.terms, trial);
+    Simulate(scene_, trial);
     return report.work.evaluations;
   }
 
   double WorkByRollout() const { return saltus::WorkByRollout(scene_); }
   double WorkBySteps() const { return saltus::WorkBySteps(scene_); }
-  bool AllCostsAreSquares() const { return scene_.objective.IsSumOfSquares() && request_.terms.empty(); }
+  bool AllCostsAreSquares() const { return scene_.objective.IsSumOfSquares(); }
   double LossForUser(double loss) const { return ConvertLoss(loss, scene_.units, {}); }
   LocalOptimum OptimumOf(const Trial& trial) const {
     LocalOptimum found{trial.exact.contacts, trial.exact.loss, {}};
@@ -176,7 +176,7 @@ SolveReport SolveByPhasesFromStarts(const SolveRequest& request, const SolverOpt
   SolverOptions own = options;
   own.monitor.callback = nullptr;
   const PhaseRun run("ceres_phases", request, own);
-  Trial end{first.solution.control, first.solution.durations, {}, {}, first.solution.initial_state};
+  Trial end{first.solution.control, first.solution.durations, {}, first.solution.initial_state};
   run.Simulate(&end);
   std::vector<ContactSequence> tried = {end.exact.contacts};
   SolveReport best = first;

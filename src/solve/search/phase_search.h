@@ -1,5 +1,5 @@
 // A search over collision sequences for what closed arcs do not take: bounds, hard terms, running and via costs, a free
-// final time, terms of a user's own, initial states that are to be found.
+// final time, initial states that are to be found.
 //
 // Every solve is one of ceres_phases, which mends its sequence. They begin from
 //

@@ -58,7 +58,7 @@ SearchFinding UpdateBy(const TryPlan* by_steps, PhaseRun* run) {
   finding.jacobians = report.work.evaluations;
   finding.trial.control = std::move(report.solution.control);
   finding.trial.durations = std::move(report.solution.durations);
-  Simulate(scene, {}, &finding.trial);
+  Simulate(scene, &finding.trial);
   const size_t impacts = run->guess().exact.contacts.size();
   finding.work = finding.jacobians * (by_steps != nullptr ? WorkBySteps(scene) : WorkByArcs(scene, impacts));
   finding.remark = std::move(report.reason);
@@ -140,7 +140,7 @@ SearchFinding Shoot(SolveRequest request, const SolverOptions& options, const Se
   scene.steps = steps;
   finding.trial.control = MeanOverSteps({std::move(report.solution.control), {}}, scene.control_width(), steps);
   finding.trial.durations.assign(steps, scene.dt());
-  Simulate(scene, {}, &finding.trial);
+  Simulate(scene, &finding.trial);
   return finding;
 }
 
