@@ -55,9 +55,11 @@ bool NeedsNewSizes(const HybridProblem& problem, double initial_loss, SolveRepor
 
 }  // namespace
 
-SolveReport SolveWithEnoughSteps(const HybridProblem& problem, const SolverOptions& options, const SolveFrom& solve) {
+SolveReport SolveWithEnoughSteps(const HybridProblem& problem, const SolverOptions& options, const SolveFrom& solve,
+                                 const std::function<bool(const SolveReport&)>& is_of_use) {
   SolveChain chain(options);
   SolveReport report = solve(problem, options);
+  if (!is_of_use(report)) return report;
   chain.Add(report);
   double initial_loss = report.guess.loss;
   for (int run = 1;; ++run) {

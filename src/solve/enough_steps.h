@@ -16,8 +16,10 @@ using SolveFrom = std::function<SolveReport(const HybridProblem& problem, const 
 
 // Runs a solver from the guess of a problem, and from what it finds again until steps and sizes suffice there. Returns
 // one report of all runs, whose iterations are together at most those of the options. A run whose steps do not suffice
-// in the end has not converged, and its reason states this.
-SolveReport SolveWithEnoughSteps(const HybridProblem& problem, const SolverOptions& options, const SolveFrom& solve);
+// in the end has not converged, and its reason states this. A first run that is of no use is not repeated.
+SolveReport SolveWithEnoughSteps(
+    const HybridProblem& problem, const SolverOptions& options, const SolveFrom& solve,
+    const std::function<bool(const SolveReport&)>& is_of_use = [](const SolveReport&) { return true; });
 
 // Whether the loss of a solution is zero beside that where all that the costs read has changed by its size.
 bool HasNoLoss(const HybridProblem& problem, const SolveReport& report);

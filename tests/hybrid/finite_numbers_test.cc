@@ -17,6 +17,7 @@
 #include "saltus/hybrid/hybrid_problem.h"
 #include "saltus/optimality/hybrid_certificate.h"
 #include "saltus/solve/hybrid_solver.h"
+#include "solve/enough_steps.h"
 
 namespace saltus {
 namespace {
@@ -272,6 +273,28 @@ TEST(EnoughSteps, AreTakenAtASolution) {
     EXPECT_LT(report.solution.integration_error, 1e-10) << solver;
     EXPECT_LE(report.work.iterations, 200);
     EXPECT_EQ(report.history.losses.size(), report.work.iterations + 1u);
+  }
+}
+
+// A solver whose first solution needs more steps, though nothing is won by it.
+TEST(EnoughSteps, AreNotTakenAtASolutionOfNoUse) {
+  HybridProblem problem{.system = HybridSystem(Oscillator()),
+                        .guess = {.initial = {1, 0}, .parameters = {3}, .duration = 2}};
+  problem.terms = {MakeTerminalCost(0, 0.3, 1.0, 2)};
+  problem.free = {.parameters = {0}};
+  for (const bool is_of_use : {false, true}) {
+    int solves = 0;
+    const auto solve = [&](const HybridProblem&, const SolverOptions&) {
+      SolveReport report;
+      report.termination = Termination::kNoProgress;
+      report.history.losses = {1};
+      report.guess.loss = report.solution.loss = 1;
+      report.solution.parameters = {60};
+      report.solution.integration_error = ++solves == 1 ? 1 : 0;
+      return report;
+    };
+    SolveWithEnoughSteps(problem, {}, solve, [&](const SolveReport&) { return is_of_use; });
+    EXPECT_EQ(solves, is_of_use ? 2 : 1);
   }
 }
 

@@ -310,6 +310,54 @@ TEST(HybridPhases, NeedFewIterationsWhateverTheGuess) {
   }
 }
 
+// Masses with springs that harden, of which a force pushes the first. In a second the last ones hardly move: by 1e-20.
+struct LongChain {
+  static constexpr int kMasses = 20;
+  static constexpr int kNumControls = 1, kNumParameters = 0;
+  static constexpr std::array kStateSizes = {2 * kMasses};
+  static constexpr std::array kNumGuards = {0};
+  template <typename T>
+  void Flow(int, const T&, const T* x, const T* u, const T*, T* xdot) const {
+    for (int i = 0; i < kMasses; ++i) {
+      xdot[i] = x[kMasses + i];
+      T force = (i == 0 ? u[0] : T(0.0)) - 0.1 * x[kMasses + i];
+      for (const int j : {i - 1, i + 1}) {
+        if (j < 0 || j >= kMasses) continue;
+        const T d = x[j] - x[i];
+        force += 2.0 * d + 0.1 * d * d * d;
+      }
+      xdot[kMasses + i] = force;
+    }
+  }
+  template <typename T>
+  T Guard(int, int, const T&, const T*, const T*) const {
+    return T(0.0);
+  }
+  template <typename T>
+  int Reset(int, int, const T&, const T*, const T*, T*) const {
+    return 0;
+  }
+};
+
+// Sizes of states that no cost notices are raised: relative to 1e-20 linear solvers lost their digits, and the solve
+// ran out of its 400 iterations.
+TEST(HybridPhases, StatesThatHardlyMoveTakeNoIterations) {
+  constexpr int kIntervals = 5, kStates = 2 * LongChain::kMasses;
+  HybridProblem problem{.system = HybridSystem(LongChain()),
+                        .guess = {.initial = std::vector<double>(kStates), .duration = 1, .num_intervals = kIntervals},
+                        .terms = {MakeEffortCost(1.0, 1)}};
+  for (int i = 0; i < kStates; ++i) {
+    problem.terms.push_back(MakeTerminalCost(i, i < LongChain::kMasses ? 1.0 : 0.0, 100.0, kStates));
+  }
+  problem.guess.control.assign(kIntervals, 0.1);
+  problem.free.control = true;
+  const SolveReport phases = Solve("ceres_phases", problem, {}), shooting = Solve("ceres_lm", problem, {});
+  ASSERT_EQ(phases.termination, Termination::kConverged) << phases.reason;
+  ASSERT_EQ(shooting.termination, Termination::kConverged) << shooting.reason;
+  EXPECT_NEAR(phases.solution.loss, shooting.solution.loss, 1e-9 * shooting.solution.loss);
+  EXPECT_LE(phases.work.iterations, 100);
+}
+
 // The best control of the ball with n1 equal intervals before and n2 after an impact at the time s, and its loss.
 struct AtImpact {
   HybridInput input;

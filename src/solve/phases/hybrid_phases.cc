@@ -21,6 +21,7 @@ constexpr double kNodeMargin = 2e-13;   // of the duration: nodes are by half of
 constexpr double kDelay = 1e-7;         // of the duration
 constexpr double kLeastOfAsked = 0.01;  // of the change of a state, or of the loss, that costs ask for
 constexpr double kMisses = 1e-3;
+constexpr double kUnnoticed = 1e-6;   // of the root of the loss: a change of a residual
 constexpr double kRounding = 1e-10;   // of a parameter, at least of 1: one that near to a bound is at it
 constexpr int kFewestIntervals = 64;  // where no control or cost of intervals gives their number
 
@@ -313,11 +314,37 @@ void HybridPhaseRun::FindScales() {
       scale = scale > 0 ? std::max(scale, kLeastOfAsked * asked) : asked;
     }
   }
+  if (is_proportional) RaiseUnnoticedSizes();
   scales_.Finish();
   if (guess_.exact.ok && guess_.exact.loss != 0) scales_.loss = std::abs(guess_.exact.loss);
   // The loss of a guess that misses constraints tells little of that of motions that meet them.
   if (sizes && guess_.exact.violation > kMisses) {
     scales_.loss = std::max(scales_.loss, kLeastOfAsked * sizes->asked_loss);
+  }
+}
+
+// Raises the sizes of states to changes that no cost notices. Smaller sizes, as of the far end of a chain that a wave
+// has not reached, would ask for an accuracy of these states that means nothing, and that linear solvers do not have.
+void HybridPhaseRun::RaiseUnnoticedSizes() {
+  HybridShooting::Outcome outcome;
+  std::vector<HybridShooting::TermAt> terms;
+  if (!shooting_->Simulate(InputOf(guess_), &outcome) || !shooting_->EvaluateTerms(&terms)) return;
+  const HybridSimulator& simulator = shooting_->simulator();
+  std::vector<std::vector<double>> slopes;  // of costs, the largest by each state
+  for (const std::vector<double>& sizes : scales_.state) slopes.emplace_back(sizes.size());
+  for (const HybridShooting::TermAt& at : terms) {
+    if (at.term->role != HybridTerm::Role::kCost || !at.term->with_state || at.event >= 0) continue;
+    std::vector<double>& largest = slopes[at.interval < 0 ? simulator.final_mode() : simulator.ModeAt(at.interval)];
+    for (std::size_t i = 0; i < at.jacobians[0].size(); ++i) {
+      double& slope = largest[i % largest.size()];
+      slope = std::max(slope, std::abs(at.jacobians[0][i]));
+    }
+  }
+  const double unnoticed = kUnnoticed * std::sqrt(std::abs(guess_.exact.loss));
+  for (std::size_t mode = 0; mode < slopes.size(); ++mode) {
+    for (std::size_t i = 0; i < slopes[mode].size(); ++i) {
+      if (slopes[mode][i] > 0) scales_.state[mode][i] = std::max(scales_.state[mode][i], unnoticed / slopes[mode][i]);
+    }
   }
 }
 

@@ -121,6 +121,7 @@ class HybridPhaseRun final : public SequenceRun {
 
  private:
   void FindScales();
+  void RaiseUnnoticedSizes();
 
   HybridProblem problem_;
   std::unique_ptr<HybridShooting> shooting_;

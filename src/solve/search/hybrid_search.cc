@@ -106,7 +106,13 @@ class HybridSearch {
     HybridProblem problem = problem_;
     problem.guess = run_.InputOf(from);
     bool first = true;
-    finding.report = SolveWithEnoughSteps(problem, options, [&](const HybridProblem& start, const SolverOptions& own) {
+    // Neither an optimum nor lower than its start, one of many solves is not worth a more accurate one.
+    const auto is_of_use = [&](const SolveReport& report) {
+      const double lower = report.guess.loss - kSameOptimum * std::abs(report.guess.loss);
+      return search_start.is_guess || report.termination == Termination::kConverged ||
+             report.solution.loss < std::min(lower, most_loss);
+    };
+    const auto solve = [&](const HybridProblem& start, const SolverOptions& own) {
       HybridProblem at = problem_;
       if (!std::exchange(first, false)) {
         at.guess = start.guess;
@@ -131,7 +137,8 @@ class HybridSearch {
                        {}};
       run.Simulate(&finding.trial);
       return report;
-    });
+    };
+    finding.report = SolveWithEnoughSteps(problem, options, solve, is_of_use);
     return finding;
   }
 
