@@ -355,11 +355,12 @@ def test_phases_may_end_at_a_guard_that_is_the_switch_of_the_flow(solver):
     assert with_apex.loss <= without.loss * (1 + 1e-8)
 
 
-@pytest.mark.parametrize("intervals", [2, 3])
-def test_a_switch_where_the_control_jumps_is_a_switch(intervals):
+def test_a_switch_where_the_control_jumps_is_a_switch_and_no_jump_of_the_mode():
     system = saltus.HybridSystem(states={"m": ["x", "y"]}, controls=["u"],
                                  flow={"m": lambda x, u: [1, saltus.where(x[0] > 0.5, 2 * x[0], x[0]) + u[0]]})
-    control = np.linspace(0.1, 0.3, intervals)[:, None]
-    found = saltus.rollout(saltus.HybridProblem(system, mode="m", initial=[0, 0], duration=1.0, control=control))
-    assert_allclose([time for time, *_ in found.switches], [0.5], rtol=1e-12)
-    assert_allclose(found.final, [1, 0.125 + 0.75 + 0.2], rtol=1e-12)
+    problem = saltus.HybridProblem(system, mode="m", initial=[0, 0], duration=1.0, control=[[0.1], [0.3]],
+                                   costs=[saltus.terminal([None, 1.0])], optimize=["control", "x"])
+    assert_allclose(saltus.rollout(problem).final, [1, 0.125 + 0.75 + 0.2], rtol=1e-12)
+    for solver in ("ceres_phases", "auto"):
+        run = saltus.solve(problem, solver=solver)
+        assert run.termination == "converged" and "control jump" not in run.reason
