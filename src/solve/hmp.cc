@@ -256,8 +256,7 @@ SolveReport SolveByHmp(const SolveRequest& request, const SolverOptions& options
     if (report.termination != Termination::kConverged) report.reason.clear();  // that of ceres_phases
     report.termination = Termination::kConverged;
     report.solution.loss = optimum->loss;
-    report.history.losses.push_back(optimum->loss);
-    report.work.iterations += 1;
+    report.history.losses.back() = optimum->loss;  // of the last iteration, whose control it goes on from
     report.work.evaluations += optimum->jacobians;
   }
   report.work.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();

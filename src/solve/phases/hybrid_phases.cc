@@ -323,8 +323,9 @@ void HybridPhaseRun::FindScales() {
   }
 }
 
-// Raises the sizes of states to changes that no cost notices. Smaller sizes, as of the far end of a chain that a wave
-// has not reached, would ask for an accuracy of these states that means nothing, and that linear solvers do not have.
+// Raises the sizes of states that move to changes that no cost notices. Smaller sizes, as of the far end of a chain
+// that a wave has not reached, would ask for an accuracy of these states that means nothing, and that linear solvers do
+// not have.
 void HybridPhaseRun::RaiseUnnoticedSizes() {
   HybridShooting::Outcome outcome;
   std::vector<HybridShooting::TermAt> terms;
@@ -343,7 +344,8 @@ void HybridPhaseRun::RaiseUnnoticedSizes() {
   const double unnoticed = kUnnoticed * std::sqrt(std::abs(guess_.exact.loss));
   for (std::size_t mode = 0; mode < slopes.size(); ++mode) {
     for (std::size_t i = 0; i < slopes[mode].size(); ++i) {
-      if (slopes[mode][i] > 0) scales_.state[mode][i] = std::max(scales_.state[mode][i], unnoticed / slopes[mode][i]);
+      double& size = scales_.state[mode][i];
+      if (size > 0 && slopes[mode][i] > 0) size = std::max(size, unnoticed / slopes[mode][i]);
     }
   }
 }
