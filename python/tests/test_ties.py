@@ -364,3 +364,54 @@ def test_a_switch_where_the_control_jumps_is_a_switch_and_no_jump_of_the_mode():
     for solver in ("ceres_phases", "auto"):
         run = saltus.solve(problem, solver=solver)
         assert run.termination == "converged" and "control jump" not in run.reason
+
+
+SIGNS = {
+    "two switches": (["x", "y"], lambda x: [-2 - np.sign(x[0]), -2 - np.sign(x[1])], [1, 1], 1.0, np.eye(2) / 3),
+    "three switches": (["x", "y", "z"], lambda x: [-2 - np.sign(x[i]) for i in range(3)], [1, 1, 1], 1.0, np.eye(3) / 3),
+    "other slopes": (["x", "y"], lambda x: [-2 - np.sign(x[0]), -3 - np.sign(x[1])], [1, 4 / 3], 1.0, np.diag([1 / 3, 1 / 2])),
+    "state and time": (["x", "y"], lambda t, x: [-1 - 0.5 * np.sign(x[0]), saltus.where(t > 0.5, 1, 3)], [0.75, 0], 1.0,
+                       np.diag([1 / 3, 1])),
+    "one surface twice": (["x"], lambda x: [-3 - np.sign(x[0]) - saltus.where(2 * x[0] > 0, 1, 0)], [1], 1.0, [[2 / 5]]),
+}
+
+
+@pytest.mark.parametrize("case", SIGNS)
+def test_switches_that_turn_at_one_time_have_the_derivatives_of_each(case):
+    states, flow, initial, duration, expected = SIGNS[case]
+    system = saltus.HybridSystem(states={"m": states}, flow={"m": flow})
+    problem = saltus.HybridProblem(system, mode="m", initial=initial, duration=duration)
+    found = saltus.final_derivatives(problem)
+    assert found.remark == ""
+    assert_allclose(found.by_initial, expected, atol=1e-12)
+
+
+def test_two_blocks_that_turn_at_one_time_are_solved_as_each_alone():
+    def problem(blocks):
+        names = [f"{name}{i}" for i in range(blocks) for name in "qv"]
+        flow = lambda x, u: [rate for i in range(blocks) for rate in (x[2 * i + 1], u[i] - np.sign(x[2 * i + 1]))]
+        system = saltus.HybridSystem(states={"m": names}, controls=[f"u{i}" for i in range(blocks)], flow={"m": flow})
+        return saltus.HybridProblem(system, mode="m", initial=[0, 1] * blocks, duration=1.0, control=-2 * np.ones((6, blocks)),
+                                    costs=[saltus.terminal([-0.5, None] * blocks), saltus.effort(0.01)])
+
+    alone, both = saltus.loss_and_gradient(problem(1)), saltus.loss_and_gradient(problem(2))
+    for i in range(2):
+        assert_allclose(both.gradient["control"][:, i], alone.gradient["control"][:, 0], atol=1e-10)
+    runs = [saltus.solve(problem(blocks), solver="ceres_phases") for blocks in (1, 2)]
+    assert [run.termination for run in runs] == ["converged"] * 2
+    assert_allclose(runs[1].loss, 2 * runs[0].loss, rtol=1e-8)
+
+
+@pytest.mark.parametrize("restitution", np.linspace(0.08, 0.86, 27))
+def test_a_ball_comes_to_rest_where_its_bounces_accumulate(restitution):
+    ball = saltus.HybridSystem(
+        states={"air": ["y", "v"], "rest": ["y", "v"]}, parameters=["e"],
+        flow={"air": lambda x: [x[1], -9.81], "rest": lambda x: [0, 0]}, guards={"air": {"ground": lambda x: x[0]}},
+        resets={"air": {"ground": lambda x, p: ("air", [0, -p[0] * x[1]])}}, on_accumulation={"air": {"ground": "rest"}})
+    accumulated = math.sqrt(2 / 9.81) * (1 + restitution) / (1 - restitution)
+    for part in (1.01, 1.7, 5):
+        found = saltus.rollout(saltus.HybridProblem(ball, mode="air", initial=[1, 0], parameters=[restitution],
+                                                    duration=part * accumulated))
+        assert found.mode == "rest"
+        assert_allclose(found.final, [0, 0], atol=1e-9)
+        assert_allclose(found.events[-1][0], accumulated, rtol=1e-6)

@@ -101,12 +101,14 @@ class HybridSimulator::Impl {
     }
     const double *at = &one.tape().numbers[one.tape().final_state],
                  *to = &other.tape().numbers[other.tape().final_state];
-    return std::max(difference, RelativeChange(one.tape(), rounding, [&](int i) { return std::abs(at[i] - to[i]); }));
+    return std::max(difference, RelativeChange(one, rounding, [&](int i) { return std::abs(at[i] - to[i]); }));
   }
 
   // Returns the largest change of a component of the final state, relative to its largest value in the modes that have
-  // it: in the final mode or, of a system that creates its modes, in all of them.
-  double RelativeChange(const MotionTape& tape, double rounding, const auto& change_of) const {
+  // it: in the final mode or, of a system that creates its modes, in all of them. A mode in which accumulating events
+  // end has the states of the modes that lead to it, and is entered with values that are rounding.
+  double RelativeChange(const RolloutRun& of, double rounding, const auto& change_of) const {
+    const MotionTape& tape = of.tape();
     const int mode = tape.final_mode, n = system.state_size(mode);
     const double* at = &tape.numbers[tape.final_state];
     double relative = 0;
@@ -116,7 +118,8 @@ class HybridSimulator::Impl {
       if (change <= rounding * largest) continue;
       double size = std::abs(at[i]);
       for (const TapeEntry& entry : tape.entries) {
-        const bool has_it = entry.mode == mode || system.functions().CreatesModes();
+        const bool ends_accumulation = of.accumulation() && system.state_size(entry.mode) == n;
+        const bool has_it = entry.mode == mode || ends_accumulation || system.functions().CreatesModes();
         if (has_it) size = std::max(size, std::abs(tape.numbers[entry.x + i]));
       }
       if (size > 0) relative = std::max(relative, change / size);
@@ -129,7 +132,7 @@ class HybridSimulator::Impl {
   double ErrorOfCutSteps(const RolloutRun& of, double rounding = kRounding) {
     const MotionDerivatives::Change change =
         derivatives.CompareWithHalvedCutSteps(input, of.tape(), of.events().size());
-    double largest = RelativeChange(of.tape(), rounding, [&](int i) { return std::abs(change.final_state[i]); });
+    double largest = RelativeChange(of, rounding, [&](int i) { return std::abs(change.final_state[i]); });
     for (const double time : change.times) largest = std::max(largest, std::abs(time) / input.duration);
     const bool finite = change.final_state.allFinite() && AllFinite(change.times);
     return finite ? largest : change.of_steps;

@@ -350,6 +350,29 @@ bool RolloutRun::StaysOnSwitch(const FlowStep& ahead, int guard, double fastest)
   return true;
 }
 
+// Whether the motion has just passed a switch and meets another one at the same time, whose surface is another: it then
+// has an event of its own, as its time depends on other numbers.
+bool RolloutRun::MeetsAfterSwitch(int other) const {
+  if (events_.empty() || !events_.back().is_switch || tape_.entries.back().kind != TapeEntry::Kind::kReset)
+    return false;
+  const HybridEvent& last = events_.back();
+  FlowStep before = StepFrom(0);
+  before.mode = last.mode;
+  return !functions_.IsOn(at_.mode, other) && !AreParallel(before, last.guard, StepFrom(0), other);
+}
+
+// Whether the gradients of two guards are parallel.
+bool RolloutRun::AreParallel(const ModePoint& a, int guard_a, const ModePoint& b, int guard_b) const {
+  constexpr double kSame = 1e-12;  // relative
+  const int columns = system_.state_size(a.mode) + 1 + system_.num_parameters() + system_.num_controls();
+  Eigen::VectorXd of_a(columns), of_b(columns);
+  functions_.GuardGradient(a, guard_a, of_a.data());
+  functions_.GuardGradient(b, guard_b, of_b.data());
+  Eigen::Index largest = 0;
+  const double size = of_a.cwiseAbs().maxCoeff(&largest) * of_b.lpNorm<Eigen::Infinity>();
+  return (of_a * of_b[largest] - of_b * of_a[largest]).lpNorm<Eigen::Infinity>() <= kSame * size;
+}
+
 // Finds the piece of the mode in which the motion goes on, and leaves its slope and guards in at_: a switch below zero,
 // or at zero and falling, takes its other side. If both sides point at the switch, the motion stays on it if the flow
 // there keeps it. A jump of the control turns no switch that does not read it: one that is about to fall through zero
@@ -413,6 +436,9 @@ bool RolloutRun::ChooseSwitchSides(Entry entry) {
         return false;
       }
       next = on;
+    } else if (MeetsAfterSwitch(turns)) {
+      if (!ApplyReset(turns, /*with_step=*/true, /*immediate=*/false)) return false;
+      continue;
     }
     at_.mode = next;
   }
@@ -899,18 +925,10 @@ RolloutRun::PendingEvent RolloutRun::EarliestEvent(const FlowStep& step, const s
 }
 
 // Whether a guard is itself a switch where both are at zero: in all motions nearby they reach zero together, to first
-// order, as the derivatives of both times, -(gradient of the guard) / rate, are the same; and the guard goes on falling
-// on the other side of the switch, unlike |x|, which only touches zero.
-bool RolloutRun::IsItsSwitch(int guard, double rate, int its_switch, double rate_of_switch) const {
-  constexpr double kSame = 1e-12;  // relative
-  const int columns = system_.state_size(at_.mode) + 1 + system_.num_parameters() + system_.num_controls();
-  Eigen::VectorXd of_guard(columns), of_switch(columns);
+// order; and the guard goes on falling on the other side of the switch, unlike |x|, which only touches zero.
+bool RolloutRun::IsItsSwitch(int guard, int its_switch) const {
   FlowStep here = StepFrom(0);
-  functions_.GuardGradient(here, guard, of_guard.data());
-  functions_.GuardGradient(here, its_switch, of_switch.data());
-  of_guard /= rate;
-  of_switch /= rate_of_switch;
-  if (!((of_guard - of_switch).lpNorm<Eigen::Infinity>() <= kSame * of_guard.lpNorm<Eigen::Infinity>())) return false;
+  if (!AreParallel(here, guard, here, its_switch)) return false;
   here.mode = functions_.AdjacentPiece(here, its_switch, HybridFunctions::Side::kOther);
   if (here.mode < 0) return false;
   std::vector<double> slope(system_.state_size(here.mode));
@@ -944,10 +962,9 @@ std::vector<int> RolloutRun::TiedGuards(const PendingEvent& due, int* first) {
     }
     if (std::abs(value.value) > error.rounding - value.rate * rounding_of_due) continue;
     const bool turns = functions_.IsSwitch(at_.mode, guard), other_turns = functions_.IsSwitch(at_.mode, *first);
-    const double rate = all[*first].rate;
     const bool precedes = turns == other_turns ? guard < *first
-                          : turns              ? !IsItsSwitch(*first, rate, guard, value.rate)
-                                               : IsItsSwitch(guard, value.rate, *first, rate);
+                          : turns              ? !IsItsSwitch(*first, guard)
+                                               : IsItsSwitch(guard, *first);
     if (precedes) *first = guard;
   }
   return tied;

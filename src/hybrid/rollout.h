@@ -113,7 +113,9 @@ class RolloutRun {
   bool IsLastGrazing(int mode, int guard, double time) const;
   PendingEvent EarliestEvent(const FlowStep& step, const std::vector<GuardValue>& end);
   bool TakeEvent(const PendingEvent& due, const FlowStep& step);
-  bool IsItsSwitch(int guard, double rate, int its_switch, double rate_of_switch) const;
+  bool MeetsAfterSwitch(int other) const;
+  bool AreParallel(const ModePoint& a, int guard_a, const ModePoint& b, int guard_b) const;
+  bool IsItsSwitch(int guard, int its_switch) const;
   std::vector<int> TiedGuards(const PendingEvent& due, int* first);
   void CompareGuards(const FlowStep& step);
   bool Accumulates(double until);

@@ -77,7 +77,10 @@ bool TiedEvents::FindCandidates(const FlowStep& at, const double* slope, double 
 }
 
 int TiedEvents::ModeAtRest(const FlowStep& at, const Candidate& candidate) const {
-  const int mode = functions_.OnAccumulation(at.mode, candidate.guard), n = system_.state_size(at.mode);
+  const int n = system_.state_size(at.mode);
+  const int mode = functions_.IsSwitch(at.mode, candidate.guard)
+                       ? functions_.AdjacentPiece(at, candidate.guard, HybridFunctions::Side::kOn)
+                       : functions_.OnAccumulation(at.mode, candidate.guard);
   if (mode < 0 || mode >= system_.num_modes() || system_.state_size(mode) != n) return -1;
   const bool repeats = std::ranges::any_of(happened_, [&](const Event& event) {
     return event.mode == at.mode && event.guard == candidate.guard &&

@@ -62,6 +62,7 @@ class TiedEvents {
   };
   // The mode in which the motion goes on in place of an event, as events of the guard accumulate: it has had one with
   // the same state, or one after which it is at zero with a rate of zero. -1 if it has not, or the system names none.
+  // That of a switch at which the flows on both sides point is its zero.
   int ModeAtRest(const FlowStep& at, const Candidate& candidate) const;
   bool Bounces(const FlowStep& at, int guard, const Direction& direction, double now, int rest);
   // Moves from the zero of each switch to the side on which value(guard, rate) lies, unless that is 0, and computes the
