@@ -350,15 +350,20 @@ bool RolloutRun::StaysOnSwitch(const FlowStep& ahead, int guard, double fastest)
   return true;
 }
 
-// Whether the motion has just passed a switch and meets another one at the same time, whose surface is another: it then
-// has an event of its own, as its time depends on other numbers.
-bool RolloutRun::MeetsAfterSwitch(int other) const {
+// Whether the motion has just passed a switch and passes another one at the same time, into the piece `next`, whose
+// surface is another: it then has an event of its own, as its time depends on other numbers.
+bool RolloutRun::PassesAfterSwitch(int other, int next) const {
   if (events_.empty() || !events_.back().is_switch || tape_.entries.back().kind != TapeEntry::Kind::kReset)
     return false;
   const HybridEvent& last = events_.back();
-  FlowStep before = StepFrom(0);
+  const FlowStep here = StepFrom(0);
+  FlowStep before = here, behind = here;
   before.mode = last.mode;
-  return !functions_.IsOn(at_.mode, other) && !AreParallel(before, last.guard, StepFrom(0), other);
+  behind.mode = next;
+  if (next < 0 || functions_.IsOn(at_.mode, other) || AreParallel(before, last.guard, here, other)) return false;
+  std::vector<double> slope(system_.state_size(next));
+  functions_.Flow(behind, slope.data());
+  return search_.GuardAt(here, slope.data(), other).rate < 0;
 }
 
 // Whether the gradients of two guards are parallel.
@@ -436,7 +441,7 @@ bool RolloutRun::ChooseSwitchSides(Entry entry) {
         return false;
       }
       next = on;
-    } else if (MeetsAfterSwitch(turns)) {
+    } else if (PassesAfterSwitch(turns, next)) {
       if (!ApplyReset(turns, /*with_step=*/true, /*immediate=*/false)) return false;
       continue;
     }
