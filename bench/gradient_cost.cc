@@ -63,7 +63,7 @@ double HopperTime() {
 }
 
 // The least time by the clock of a loss and gradient of a bouncing ball, of a batch of `count` on this many threads.
-// Each ball has a height and a restitution of its own, and chooses its integration steps by itself.
+// Each ball has its own height and restitution, and chooses its integration steps by itself.
 double BallTime(int count, int threads) {
   HybridProblem problem = BouncingBallProblem();
   problem.free = {.initial = {0}, .parameters = {1}};

@@ -312,7 +312,7 @@ def test_an_event_near_a_jump_of_the_control(flow, reset, kink):
 
 
 def thrown_ball(apex, reset=lambda x: x):
-    """A ball with drag v|v| that bounces; its apex, where the drag has its switch, may end a mode of its own."""
+    """A ball with drag v|v| that bounces; its apex, where the drag has its switch, may end a separate mode."""
     flow = lambda x, u, p: [x[1], -9.81 - p[0] * x[1] * abs(x[1]) + u[0]]
     modes = ("up", "down") if apex else ("up",)
     guards = {"down": {"ground": lambda x: x[0]}, "up": {"apex": lambda x: x[1]} if apex else {"ground": lambda x: x[0]}}

@@ -351,7 +351,7 @@ bool RolloutRun::StaysOnSwitch(const FlowStep& ahead, int guard, double fastest)
 }
 
 // Whether the motion has just passed a switch and passes another one at the same time, into the piece `next`, whose
-// surface is another: it then has an event of its own, as its time depends on other numbers.
+// surface is another: it then has its own event, as its time depends on other numbers.
 bool RolloutRun::PassesAfterSwitch(int other, int next) const {
   if (events_.empty() || !events_.back().is_switch || tape_.entries.back().kind != TapeEntry::Kind::kReset)
     return false;

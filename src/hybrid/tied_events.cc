@@ -53,7 +53,7 @@ bool TiedEvents::LeaveSwitches(FlowStep* at, const std::function<double(int guar
     using Side = HybridFunctions::Side;
     at->mode = functions_.AdjacentPiece(*at, guard, side > 0 ? Side::kAbove : Side::kBelow);
     if (at->mode < 0 || !SlopeAt(*at, &slope_)) return false;
-    guard = -1;  // The piece has switches of its own.
+    guard = -1;  // The piece has its own switches.
   }
   return true;
 }

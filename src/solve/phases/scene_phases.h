@@ -1,7 +1,7 @@
 // A plan of a scene of discs as one of its hybrid system (scene_problem.h), for the transcription of hybrid systems.
 //
 // The scene is one without units: its lengths, times and loss are of order one. Terms are those of the hybrid problem
-// of the scene, but for the effort, running terms and limits of the speed, which stay squares and limits of single
+// of the scene, except for the effort, running terms and limits of the speed, which stay squares and limits of single
 // steps, and read no other discs than they name.
 #pragma once
 
