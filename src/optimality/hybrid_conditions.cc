@@ -211,7 +211,9 @@ class HybridConditions {
   }
 
   // Returns by how much each row of each constraint changes, at most, as one of the numbers that it reads changes by
-  // its size: along the motion, and where all of them have changed so. Precondition: Sizes() has returned them.
+  // its size. Each such change is the middle one of three: along the motion, and where all numbers have changed by
+  // their size, up and down. So a row has a size where its derivative is zero along the motion, and none by a pole such
+  // as that of 1 / r at r = 0. Precondition: Sizes() has returned them.
   std::vector<VectorXd> SizesOfConstraints() const {
     std::vector<VectorXd> rows;
     for (const HybridTerm& term : problem_terms()) rows.push_back(VectorXd::Zero(term.NumRows()));
@@ -219,14 +221,22 @@ class HybridConditions {
       if (at.term->IsCost()) continue;
       VectorXd& of_term = rows[at.term - problem_terms().data()];
       const std::vector<VectorXd> sizes = SizesOfBlocks(at);
-      for (const double part : {0.0, 1.0, -1.0}) {
+      std::array<std::vector<Matrix>, 3> changes;
+      for (const int side : {0, 1, 2}) {
         VectorXd residuals;
-        std::vector<Matrix> jacobians;
-        if (!EvaluateOnSide(at, part, &residuals, &jacobians)) continue;
+        const bool has_value = EvaluateOnSide(at, side - 1, &residuals, &changes[side]);
         for (size_t i = 0; i < sizes.size(); ++i) {
-          const VectorXd by = (jacobians[i].cwiseAbs() * sizes[i].asDiagonal()).rowwise().maxCoeff();
-          if (by.allFinite()) of_term = of_term.cwiseMax(by);
+          Matrix& by = changes[side][i];
+          by = (by.cwiseAbs() * sizes[i].asDiagonal()).unaryExpr([&](double change) {
+            return has_value && std::isfinite(change) ? change : INFINITY;
+          });
         }
+      }
+      for (size_t i = 0; i < sizes.size(); ++i) {
+        const auto& [down, along, up] = std::tie(changes[0][i], changes[1][i], changes[2][i]);
+        const Matrix middle = down.cwiseMin(up).cwiseMax(down.cwiseMax(up).cwiseMin(along));
+        const VectorXd by = middle.rowwise().maxCoeff();
+        if (by.allFinite()) of_term = of_term.cwiseMax(by);
       }
     }
     return rows;

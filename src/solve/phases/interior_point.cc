@@ -45,6 +45,7 @@ using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowM
 
 constexpr double kNoBound = 2e19;   // IPOPT takes a bound beyond 1e19 for none
 constexpr double kWidth = 1e-6;     // of differences, relative to the size of a variable
+constexpr double kRelaxed = 1e-13;  // of bounds: controls that go back to them hardly move, and keep constraints
 constexpr double kInactive = 1e-8;  // of the largest multiplier: constraints with less add nothing to the Hessian
 
 // The problem as IPOPT asks for it. Variables are the free components of the parameter blocks, in the order in which
@@ -427,7 +428,7 @@ AugmentedLagrangian::Summary MinimizeByInteriorPoint(const std::vector<Constrain
   application->Options()->SetNumericValue("constr_viol_tol", 0.1 * options.tolerance);
   application->Options()->SetNumericValue("acceptable_tol", 1e-8);
   application->Options()->SetNumericValue("acceptable_constr_viol_tol", 0.1 * options.tolerance);
-  application->Options()->SetNumericValue("bound_relax_factor", 0.1 * options.tolerance);
+  application->Options()->SetNumericValue("bound_relax_factor", kRelaxed);
   application->Options()->SetStringValue("mu_strategy", "adaptive");
   if (application->Initialize("") != Ipopt::Solve_Succeeded)  // reads no file of options
     return summary;

@@ -87,6 +87,24 @@ struct Rocket {
   }
 };
 
+// A rotor on each side of a body, with positions, angle, velocities and rate of turning.
+struct Quadrotor {
+  template <typename T>
+  void operator()(const T* x, const T* u, T* xdot) const {
+    using std::cos, std::sin;
+    for (int i = 0; i < 3; ++i) xdot[i] = x[3 + i];
+    xdot[3] = -(u[0] + u[1]) * sin(x[2]);
+    xdot[4] = (u[0] + u[1]) * cos(x[2]) - 9.81;
+    xdot[5] = 10.0 * (u[0] - u[1]);
+  }
+};
+struct Integrator {
+  template <typename T>
+  void operator()(const T* /*x*/, const T* u, T* xdot) const {
+    xdot[0] = u[0];
+  }
+};
+
 // The rows sign[i] (x[component[i]] - value[i]).
 template <int kRows>
 struct Rows {
@@ -275,6 +293,46 @@ TEST(OptimalControl, RecogniseAGuessAtTheOptimum) {
       EXPECT_NEAR(again.solution.loss, first.solution.loss, 1e-6 * std::abs(first.solution.loss)) << solver;
     }
   }
+}
+
+// Both rotors are at their bounds most of the time. The final state is so sensitive to them that controls which go back
+// to bounds that were relaxed by 1e-10 miss it by 4e-8. The optimum was found by sequential quadratic programming
+// (SciPy's SLSQP, from 11 of 12 random guesses), with steps of Runge and Kutta whose error is below 1e-6.
+TEST(OptimalControl, MeetsSensitiveConstraintsWithControlsAtTheirBounds) {
+  if (!HasInteriorPoint()) GTEST_SKIP() << "this build has no IPOPT";
+  HybridProblem problem = Problem<Quadrotor, 6, 2>({0, 0, 0, 0, 0, 0}, 2, 4.905, 10);
+  problem.terms = {MakeDurationCost(1),
+                   StateRows<6, 6>(
+                       Timing::kEnd, Role::kEquality, {0, 1, 2, 3, 4, 5}, {1, 1, 1, 1, 1, 1}, {3, 1, 0, 0, 0, 0})};
+  problem.free.duration = true;
+  problem.free.duration_min = 0.5;
+  problem.free.duration_max = 6;
+  problem.free.control_min = {0, 0};
+  problem.free.control_max = {9, 9};
+  ExpectOptimum(problem, 1.2433706, 1e-6, "quadrotor");
+}
+
+// x - 2 / x = 0 at the end, which has a pole at 0.
+struct Pole {
+  template <typename T>
+  bool operator()(const T* x, T* r) const {
+    r[0] = x[0] - 2.0 / x[0];
+    return true;
+  }
+};
+
+// The motion of the guess goes from 1 to 1 - 1e-8. Less its largest value it is near the pole, where the constraint
+// changes by 1e16. Divided by that, it would hold at any place.
+TEST(OptimalControl, AConstraintWithAPoleIsMet) {
+  HybridProblem problem = Problem<Integrator, 1, 1>({1}, 1, -1e-8, 4);
+  problem.terms = {MakeEffortCost(1, 1),
+                   {.at = Timing::kEnd,
+                    .role = Role::kEquality,
+                    .with_state = true,
+                    .function = std::make_shared<ceres::AutoDiffCostFunction<Pole, 1, 1>>(new Pole)}};
+  const double velocity = std::numbers::sqrt2 - 1;  // constant at the optimum
+  ExpectOptimum(problem, velocity * velocity, 1e-9, "pole", "ceres_phases");
+  if (HasInteriorPoint()) ExpectOptimum(problem, velocity * velocity, 1e-9, "pole", "ipopt");
 }
 
 struct CartAndPole {
