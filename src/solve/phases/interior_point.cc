@@ -46,6 +46,7 @@ using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowM
 constexpr double kNoBound = 2e19;   // IPOPT takes a bound beyond 1e19 for none
 constexpr double kWidth = 1e-6;     // of differences, relative to the size of a variable
 constexpr double kRelaxed = 1e-13;  // of bounds: controls that go back to them hardly move, and keep constraints
+constexpr double kManyOrders = 1e6;
 constexpr double kInactive = 1e-8;  // of the largest multiplier: constraints with less add nothing to the Hessian
 
 // The problem as IPOPT asks for it. Variables are the free components of the parameter blocks, in the order in which
@@ -61,6 +62,13 @@ class InteriorPointProblem final : public Ipopt::TNLP {
     }
     for (const ConstrainedFunction& function : functions) AddFunction(function);
     FindSizes();
+    for (const double* component : components_) start_.push_back(*component);
+  }
+
+  // Whether the units of the variables differ by orders, as metres and radians of an orbit do.
+  bool HasSizesOfManyOrders() const {
+    const auto [least, most] = std::ranges::minmax_element(sizes_);
+    return !sizes_.empty() && *most > kManyOrders * *least;
   }
 
   bool get_nlp_info(Index& n, Index& m, Index& nonzeros_of_jacobian, Index& nonzeros_of_hessian,
@@ -91,9 +99,19 @@ class InteriorPointProblem final : public Ipopt::TNLP {
     return true;
   }
 
+  // With its size as unit, each variable moves some row by about one.
+  bool get_scaling_parameters(Number& objective, bool& scales_variables, Index n, Number* variables, bool& scales_rows,
+                              Index /*m*/, Number* /*rows*/) override {
+    objective = 1;
+    scales_variables = true;
+    scales_rows = false;
+    for (Index i = 0; i < n; ++i) variables[i] = 1 / sizes_[i];
+    return true;
+  }
+
   bool get_starting_point(Index n, bool /*init_x*/, Number* x, bool /*init_z*/, Number* /*z_lower*/,
                           Number* /*z_upper*/, Index /*m*/, bool /*init_lambda*/, Number* /*lambda*/) override {
-    for (Index i = 0; i < n; ++i) x[i] = *components_[i];
+    std::copy_n(start_.data(), n, x);
     return true;
   }
 
@@ -401,7 +419,7 @@ class InteriorPointProblem final : public Ipopt::TNLP {
   AugmentedLagrangian::Summary& summary_;
   std::unordered_map<const double*, std::vector<int> > variables_;  // of each block: its components' variables, or -1
   std::vector<double*> components_;                                 // of each variable
-  std::vector<double> lower_, upper_, sizes_;
+  std::vector<double> lower_, upper_, sizes_, start_;
   std::vector<Function> functions_;
   int num_rows_ = 0;
   bool evaluated_ = false, linearized_ = false;
@@ -421,7 +439,6 @@ AugmentedLagrangian::Summary MinimizeByInteriorPoint(const std::vector<Constrain
   const Ipopt::SmartPtr<Ipopt::IpoptApplication> application = IpoptApplicationFactory();
   application->Options()->SetIntegerValue("print_level", 0);
   application->Options()->SetStringValue("sb", "yes");
-  application->Options()->SetIntegerValue("max_iter", options.iterations);
   application->Options()->SetNumericValue("tol", 1e-9);
   application->Options()->SetNumericValue("compl_inf_tol", 1e-14);
   application->Options()->SetNumericValue("mu_min", 1e-16);
@@ -430,10 +447,19 @@ AugmentedLagrangian::Summary MinimizeByInteriorPoint(const std::vector<Constrain
   application->Options()->SetNumericValue("acceptable_constr_viol_tol", 0.1 * options.tolerance);
   application->Options()->SetNumericValue("bound_relax_factor", kRelaxed);
   application->Options()->SetStringValue("mu_strategy", "adaptive");
-  if (application->Initialize("") != Ipopt::Solve_Succeeded)  // reads no file of options
-    return summary;
-  const Ipopt::SmartPtr<Ipopt::TNLP> nlp = new InteriorPointProblem(functions, options, problem, &summary);
-  application->OptimizeTNLP(nlp);
+  const Ipopt::SmartPtr<InteriorPointProblem> nlp = new InteriorPointProblem(functions, options, problem, &summary);
+  // Sizes of the start are good units of most variables, but not of angles that hardly matter at the start. So each
+  // kind of units has one half of the iterations.
+  const bool begins_with_sizes = nlp->HasSizesOfManyOrders();
+  for (const bool with_sizes : {begins_with_sizes, !begins_with_sizes}) {
+    const int rest = options.iterations - summary.iterations;
+    application->Options()->SetIntegerValue("max_iter", with_sizes == begins_with_sizes ? (rest + 1) / 2 : rest);
+    application->Options()->SetStringValue("nlp_scaling_method", with_sizes ? "user-scaling" : "gradient-based");
+    if (application->Initialize("") != Ipopt::Solve_Succeeded)  // reads no file of options
+      return summary;
+    application->OptimizeTNLP(Ipopt::SmartPtr<Ipopt::TNLP>(GetRawPtr(nlp)));
+    if (summary.converged || summary.interrupted) break;
+  }
   return summary;
 }
 
