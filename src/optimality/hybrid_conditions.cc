@@ -46,6 +46,8 @@ constexpr double kAtNode = 1e-6;        // of an interval: an event so near to i
 constexpr double kSameTime = 1e-14;     // of the duration
 constexpr double kBeside = 1e-13;       // of the duration: from an event to the end of an interval beside it
 constexpr double kSameNode = 1e-9;      // of the duration
+constexpr double kRoundedSize = 1e-12;  // of the change of a state by rates beside the motion: less is rounding
+constexpr int kMostPasses = 4;          // through all states, whose sizes depend on one another
 constexpr double kNoInterval = 1e-9;    // of the duration: of an interval so short nothing is asked
 constexpr double kSmallTerms = 0.01;    // of the largest size of a component of the control: the least of a component
 constexpr double kNoControl = 1e-6;     // of the size that a component has if it is zero: smaller ones are zero
@@ -1323,6 +1325,40 @@ class HybridConditions {
         if (is_zero_.back()) sizes_.state[mode] = sizes_.state[mode].cwiseMax(asked);
       }
     }
+    for (int pass = 0; pass < kMostPasses && RaiseSizesOfRounding(); ++pass) continue;
+  }
+
+  // Raises the sizes of states that change by rounding alone along the motion, such as the speed across a thruster that
+  // points up, as cos(pi / 2) is 6e-17: to what their rates give where all states and one control have changed by their
+  // sizes, on the side where that is less (the density of air is none far below the ground). Returns whether some size
+  // was raised, by which the rates of other states become larger.
+  bool RaiseSizesOfRounding() {
+    std::array<std::vector<VectorXd>, 2> reaches;  // by side and mode
+    for (const int side : {0, 1}) {
+      for (const VectorXd& sizes : sizes_.state) reaches[side].push_back(VectorXd::Zero(sizes.size()));
+      for (const Step& step : steps_) {
+        const VectorXd x =
+            step.state + (2 * side - 1) * sizes_.state[step.mode].cwiseMax(sizes_.asked_state[step.mode]);
+        for (int c = 0; c < width(); ++c) {
+          VectorXd u = VectorXd::Zero(width()), rates(x.size());
+          u[c] = std::max(sizes_.control[c], sizes_.asked_control[c]);
+          functions_.Flow({step.mode, step.begin, x.data(), u.data(), input_.parameters.data()}, rates.data());
+          VectorXd& reach = reaches[side][step.mode];
+          if (rates.allFinite()) reach = reach.cwiseMax(input_.duration * rates.cwiseAbs());
+        }
+      }
+    }
+    bool raised = false;
+    for (size_t mode = 0; mode < sizes_.state.size(); ++mode) {
+      for (Eigen::Index i = 0; i < sizes_.state[mode].size(); ++i) {
+        double &size = sizes_.state[mode][i], &asked = sizes_.asked_state[mode][i];
+        const double change = std::min(reaches[0][mode][i], reaches[1][mode][i]);
+        if (std::max(size, asked) >= kRoundedSize * change) continue;
+        size = asked = change;
+        raised = true;
+      }
+    }
+    return raised;
   }
 
   // Adds a state as unknowns that equal `image`, the result of a step or a reset.

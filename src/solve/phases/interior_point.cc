@@ -46,7 +46,7 @@ using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowM
 constexpr double kNoBound = 2e19;   // IPOPT takes a bound beyond 1e19 for none
 constexpr double kWidth = 1e-6;     // of differences, relative to the size of a variable
 constexpr double kRelaxed = 1e-13;  // of bounds: controls that go back to them hardly move, and keep constraints
-constexpr double kManyOrders = 1e6;
+constexpr double kExtreme = 1e3;  // the size of a variable, or its inverse
 constexpr double kInactive = 1e-8;  // of the largest multiplier: constraints with less add nothing to the Hessian
 
 // The problem as IPOPT asks for it. Variables are the free components of the parameter blocks, in the order in which
@@ -65,11 +65,10 @@ class InteriorPointProblem final : public Ipopt::TNLP {
     for (const double* component : components_) start_.push_back(*component);
   }
 
-  // Whether the units of the variables differ by orders, as metres and radians of an orbit do.
-  bool HasSizesOfManyOrders() const {
-    const auto [least, most] = std::ranges::minmax_element(sizes_);
-    return !sizes_.empty() && *most > kManyOrders * *least;
-  }
+  // With its size as unit, a variable moves some row by about one. By default only those of very large or small sizes
+  // have these units, such as metres of an orbit. Returns whether there are any.
+  bool HasExtremeSizes() const { return std::ranges::any_of(sizes_, IsExtreme); }
+  void TakeAllSizes() { takes_all_sizes_ = true; }
 
   bool get_nlp_info(Index& n, Index& m, Index& nonzeros_of_jacobian, Index& nonzeros_of_hessian,
                     IndexStyleEnum& style) override {
@@ -99,13 +98,12 @@ class InteriorPointProblem final : public Ipopt::TNLP {
     return true;
   }
 
-  // With its size as unit, each variable moves some row by about one.
   bool get_scaling_parameters(Number& objective, bool& scales_variables, Index n, Number* variables, bool& scales_rows,
                               Index /*m*/, Number* /*rows*/) override {
     objective = 1;
     scales_variables = true;
     scales_rows = false;
-    for (Index i = 0; i < n; ++i) variables[i] = 1 / sizes_[i];
+    for (Index i = 0; i < n; ++i) variables[i] = takes_all_sizes_ || IsExtreme(sizes_[i]) ? 1 / sizes_[i] : 1;
     return true;
   }
 
@@ -235,6 +233,8 @@ class InteriorPointProblem final : public Ipopt::TNLP {
     double JacobianEntry(int row, const Column& column) const { return jacobians[column.block](row, column.component); }
     bool Evaluate(double** out) { return of->function->Evaluate(of->blocks.data(), rows.data(), out); }
   };
+
+  static bool IsExtreme(double size) { return std::max(size, 1 / size) > kExtreme; }
 
   void FindVariables(double* block, ceres::Problem* problem) {
     if (variables_.count(block) > 0) return;
@@ -422,7 +422,7 @@ class InteriorPointProblem final : public Ipopt::TNLP {
   std::vector<double> lower_, upper_, sizes_, start_;
   std::vector<Function> functions_;
   int num_rows_ = 0;
-  bool evaluated_ = false, linearized_ = false;
+  bool evaluated_ = false, linearized_ = false, takes_all_sizes_ = false;
   Matrix hessian_;
 };
 
@@ -448,13 +448,14 @@ AugmentedLagrangian::Summary MinimizeByInteriorPoint(const std::vector<Constrain
   application->Options()->SetNumericValue("bound_relax_factor", kRelaxed);
   application->Options()->SetStringValue("mu_strategy", "adaptive");
   const Ipopt::SmartPtr<InteriorPointProblem> nlp = new InteriorPointProblem(functions, options, problem, &summary);
-  // Sizes of the start are good units of most variables, but not of angles that hardly matter at the start. So each
-  // kind of units has one half of the iterations.
-  const bool begins_with_sizes = nlp->HasSizesOfManyOrders();
-  for (const bool with_sizes : {begins_with_sizes, !begins_with_sizes}) {
+  // Sizes of the start are good units of most variables, but not of angles that hardly matter at the start. So all of
+  // them are taken for a second attempt only.
+  for (const bool takes_all_sizes : {false, true}) {
     const int rest = options.iterations - summary.iterations;
-    application->Options()->SetIntegerValue("max_iter", with_sizes == begins_with_sizes ? (rest + 1) / 2 : rest);
-    application->Options()->SetStringValue("nlp_scaling_method", with_sizes ? "user-scaling" : "gradient-based");
+    if (takes_all_sizes) nlp->TakeAllSizes();
+    application->Options()->SetIntegerValue("max_iter", takes_all_sizes ? rest : (rest + 1) / 2);
+    application->Options()->SetStringValue("nlp_scaling_method",
+                                           takes_all_sizes || nlp->HasExtremeSizes() ? "user-scaling" : "gradient-based");
     if (application->Initialize("") != Ipopt::Solve_Succeeded)  // reads no file of options
       return summary;
     application->OptimizeTNLP(Ipopt::SmartPtr<Ipopt::TNLP>(GetRawPtr(nlp)));

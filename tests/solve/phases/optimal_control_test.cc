@@ -105,6 +105,45 @@ struct Integrator {
   }
 };
 
+// Rayleigh's oscillator, with the integral of u^2 + x^2.
+struct Rayleigh {
+  template <typename T>
+  void operator()(const T* x, const T* u, T* xdot) const {
+    xdot[0] = x[1];
+    xdot[1] = -x[0] + x[1] * (1.4 - 0.14 * x[1] * x[1]) + 4.0 * u[0];
+    xdot[2] = u[0] * u[0] + x[0] * x[0];
+  }
+};
+// A spacecraft with a small thrust in the direction u from the tangent: radius, speeds along it and across, and mass.
+// Units are those in which the first orbit has the radius kLength, and a period of 2 pi kTime.
+constexpr double kMetres = 1.495978707e11, kSeconds = 5.0226757e6;
+template <bool kInMetres>
+struct Spacecraft {
+  static constexpr double kLength = kInMetres ? kMetres : 1, kTime = kInMetres ? kSeconds : 1;
+  static constexpr double kGravity = kLength * kLength * kLength / (kTime * kTime);
+  template <typename T>
+  void operator()(const T* x, const T* u, T* xdot) const {
+    using std::cos, std::sin;
+    const T push = 0.1405 * kLength / (kTime * kTime) / x[3];
+    xdot[0] = x[1];
+    xdot[1] = x[2] * x[2] / x[0] - kGravity / (x[0] * x[0]) + push * sin(u[0]);
+    xdot[2] = -x[1] * x[2] / x[0] + push * cos(u[0]);
+    xdot[3] = T(-0.0749 / kTime);
+  }
+};
+// A body that is pushed along its axis by u[0] and turned by u[1]: positions, velocities and the angle of the axis.
+struct Thruster {
+  template <typename T>
+  void operator()(const T* x, const T* u, T* xdot) const {
+    using std::cos, std::sin;
+    xdot[0] = x[2];
+    xdot[1] = x[3];
+    xdot[2] = u[0] * cos(x[4]);
+    xdot[3] = u[0] * sin(x[4]);
+    xdot[4] = u[1];
+  }
+};
+
 // The rows sign[i] (x[component[i]] - value[i]).
 template <int kRows>
 struct Rows {
@@ -333,6 +372,73 @@ TEST(OptimalControl, AConstraintWithAPoleIsMet) {
   const double velocity = std::numbers::sqrt2 - 1;  // constant at the optimum
   ExpectOptimum(problem, velocity * velocity, 1e-9, "pole", "ceres_phases");
   if (HasInteriorPoint()) ExpectOptimum(problem, velocity * velocity, 1e-9, "pole", "ipopt");
+}
+
+// Its guess is 60 away from the optimum in units of the control in which a state doubles, as these are those of a
+// motion that is not stable. L-BFGS needs no units.
+TEST(OptimalControl, TriesUnitsOfTheVariables) {
+  if (!HasInteriorPoint()) GTEST_SKIP() << "this build has no IPOPT";
+  HybridProblem problem = Problem<Rayleigh, 3, 1>({-5, -5, 0}, 2.5, 0, 20);
+  problem.terms = {StateRows<1, 3>(Timing::kEnd, Role::kValue, {2}, {1}, {0})};
+  const SolveReport lbfgs = Solve("ceres_lbfgs", problem, {});
+  ASSERT_EQ(lbfgs.termination, Termination::kConverged) << lbfgs.reason;
+  ExpectOptimum(problem, lbfgs.solution.loss, 1e-6, "Rayleigh", "ipopt");
+}
+
+// The end of the transfer is a circular orbit.
+template <bool kInMetres>
+struct Circular {
+  using Craft = Spacecraft<kInMetres>;
+  template <typename T>
+  bool operator()(const T* x, T* r) const {
+    using std::sqrt;
+    r[0] = x[1];
+    r[1] = x[2] - sqrt(Craft::kGravity / x[0]);
+    return true;
+  }
+};
+template <bool kInMetres>
+double RadiusOfTransfer() {
+  using Craft = Spacecraft<kInMetres>;
+  HybridProblem problem = Problem<Craft, 4, 1>(
+      {Craft::kLength, 0, Craft::kLength / Craft::kTime, 1}, 3.32 * Craft::kTime, 0, 20);
+  problem.terms = {StateRows<1, 4>(Timing::kEnd, Role::kValue, {0}, {-1}, {0}),
+                   {.at = Timing::kEnd,
+                    .role = Role::kEquality,
+                    .with_state = true,
+                    .function = std::make_shared<ceres::AutoDiffCostFunction<Circular<kInMetres>, 2, 4>>(
+                        new Circular<kInMetres>)}};
+  const SolveReport report = Solve("auto", problem, {.limits = {.iterations = 1000}});
+  EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+  return -report.solution.loss / Craft::kLength;
+}
+
+// Bryson and Ho, "Applied Optimal Control", section 2.5: the radius is 1.525 in continuous time.
+TEST(OptimalControl, AnOrbitIsRaisedInAnyUnits) {
+  if (!HasInteriorPoint()) GTEST_SKIP() << "this build has no IPOPT";
+  const double radius = RadiusOfTransfer<false>();
+  EXPECT_NEAR(radius, 1.525, 1e-3);
+  EXPECT_NEAR(RadiusOfTransfer<true>(), radius, 1e-7);
+}
+
+// Along the motion of the guess the thruster points up, so that speeds across change by cos(pi / 2), which is rounding.
+// Without a force there is no motion at all. The optimum is that from a guess with a force.
+TEST(OptimalControl, StatesThatChangeByRoundingHaveSizes) {
+  if (!HasInteriorPoint()) GTEST_SKIP() << "this build has no IPOPT";
+  std::vector<double> losses;
+  for (const double force : {0.5, 0.0}) {
+    HybridProblem problem = Problem<Thruster, 5, 2>({0, 0, 0, 0, std::numbers::pi / 2}, 2, 0, 20);
+    for (size_t k = 0; k < problem.guess.control.size(); k += 2) problem.guess.control[k] = force;
+    problem.terms = {MakeEffortCost(1, 2),
+                     StateRows<4, 5>(Timing::kEnd, Role::kEquality, {0, 1, 2, 3}, {1, 1, 1, 1}, {1, 0, 0, 0})};
+    problem.free.control_min = {-100, -3};
+    problem.free.control_max = {100, 3};
+    const SolveReport report = Solve("auto", problem, {.limits = {.iterations = 2000}});
+    ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+    EXPECT_LE(report.solution.violation, kFeasible);
+    losses.push_back(report.solution.loss);
+  }
+  EXPECT_NEAR(losses[1], losses[0], 1e-7);
 }
 
 struct CartAndPole {
