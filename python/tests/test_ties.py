@@ -415,3 +415,29 @@ def test_a_ball_comes_to_rest_where_its_bounces_accumulate(restitution):
         assert found.mode == "rest"
         assert_allclose(found.final, [0, 0], atol=1e-9)
         assert_allclose(found.events[-1][0], accumulated, rtol=1e-6)
+
+
+@pytest.mark.parametrize("signs", [(1, 1), (1, -1), (-1, 1, 1)])
+def test_blocks_that_come_to_rest_at_one_time(signs):
+    # Each rests on its switch from t = 1 on, at v0 |v0| / (2 mu); z counts the directions of those that still move.
+    n = len(signs)
+    weights = [1.0, 3.0, 5.0][:n]
+
+    def flow(t, x, p):
+        moves = [np.sign(v) for v in x[:n]]
+        return [-p[i] * moves[i] for i in range(n)] + list(x[:n]) + [sum(w * s for w, s in zip(weights, moves))]
+
+    blocks = saltus.HybridSystem(states={"m": [f"v{i}" for i in range(n)] + [f"x{i}" for i in range(n)] + ["z"]},
+                                 parameters=[f"mu{i}" for i in range(n)], flow={"m": flow})
+    mu = np.array([0.5, 1.0, 2.0])[:n]
+    v = np.array(signs) * mu
+    problem = saltus.HybridProblem(blocks, mode="m", initial=[*v, *[0] * (n + 1)], parameters=mu, duration=2.0)
+    found, motion = saltus.final_derivatives(problem), saltus.rollout(problem)
+    assert found.remark == motion.remark == ""
+    assert [time for time, _, _ in motion.switches] == pytest.approx([1] * n)
+    assert_allclose(motion.final, [*[0] * n, *(0.5 * v), np.dot(weights, signs)], atol=1e-12)
+    assert_allclose(found.by_initial[:n], 0, atol=1e-12)
+    assert_allclose(found.by_initial[n:-1, :n], np.diag(np.abs(v) / mu), atol=1e-12)
+    assert_allclose(found.by_parameters[n:-1], np.diag(-v * np.abs(v) / (2 * mu**2)), atol=1e-12)
+    assert_allclose(found.by_initial[-1, :n], weights / mu, atol=1e-12)
+    assert_allclose(found.by_parameters[-1], -np.array(weights) * v / mu**2, atol=1e-12)

@@ -350,20 +350,36 @@ bool RolloutRun::StaysOnSwitch(const FlowStep& ahead, int guard, double fastest)
   return true;
 }
 
-// Whether the motion has just passed a switch and passes another one at the same time, into the piece `next`, whose
-// surface is another: it then has its own event, as its time depends on other numbers.
-bool RolloutRun::PassesAfterSwitch(int other, int next) const {
+// Whether the motion has just met a switch, and this one fell to zero at the same time without having been met yet: it
+// then has an event of its own, as its time depends on other numbers.
+bool RolloutRun::IsSecondSwitch(int other) const {
   if (events_.empty() || !events_.back().is_switch || tape_.entries.back().kind != TapeEntry::Kind::kReset)
     return false;
-  const HybridEvent& last = events_.back();
+  if (tape_.coincidences.empty() || tape_.coincidences.back().end != 0) return false;
+  const Coincidence& tied = tape_.coincidences.back();
   const FlowStep here = StepFrom(0);
-  FlowStep before = here, behind = here;
-  before.mode = last.mode;
+  const auto is_same = [&](int mode, int guard) {
+    return functions_.BaseMode(mode) == functions_.BaseMode(at_.mode) &&
+           AreParallel({mode, here.t, here.x, here.u, here.p}, guard, here, other);
+  };
+  bool met = functions_.IsOn(at_.mode, other);
+  for (std::size_t i = tied.begin; i < tape_.entries.size() && !met; ++i) {
+    const TapeEntry& entry = tape_.entries[i];
+    met = entry.kind == TapeEntry::Kind::kReset && is_same(entry.mode, entry.guard);
+  }
+  const int first_mode = tape_.entries[tied.begin].mode;
+  return !met && std::ranges::any_of(tied.guards, [&](int guard) { return is_same(first_mode, guard); });
+}
+
+// Whether a switch falls behind its zero, in the piece `next`, as it does before.
+bool RolloutRun::Passes(int falling, int next) const {
+  if (next < 0) return false;
+  const FlowStep here = StepFrom(0);
+  FlowStep behind = here;
   behind.mode = next;
-  if (next < 0 || functions_.IsOn(at_.mode, other) || AreParallel(before, last.guard, here, other)) return false;
   std::vector<double> slope(system_.state_size(next));
   functions_.Flow(behind, slope.data());
-  return search_.GuardAt(here, slope.data(), other).rate < 0;
+  return search_.GuardAt(here, slope.data(), falling).rate < 0;
 }
 
 // Whether the gradients of two guards are parallel.
@@ -393,7 +409,8 @@ bool RolloutRun::ChooseSwitchSides(Entry entry) {
     search_.EnterMode(here);
     const int count = system_.num_guards(at_.mode);
     int turns = -1, next = -1;
-    for (int guard = count - functions_.num_switches(at_.mode); guard < count && turns < 0; ++guard) {
+    bool is_second = false;  // what is met first is settled first
+    for (int guard = count - functions_.num_switches(at_.mode); guard < count && (turns < 0 || is_second); ++guard) {
       const GuardValue& value = at_.guards[guard];
       if (!std::isfinite(value.value))
         return Refuse(QualifiedGuardName(at_.mode, guard) + " is not a finite number in " + DescribeTime());
@@ -407,6 +424,9 @@ bool RolloutRun::ChooseSwitchSides(Entry entry) {
       const bool waits = entry == Entry::kControlJump && at_.mode == mode && standing == GuardStatus::kFalling &&
                          at_.armed[guard] != 0 && !functions_.ReadsControl(at_.mode, guard);
       if (on ? stays : rises || waits) continue;
+      const bool second = IsSecondSwitch(guard);
+      if (turns >= 0 && second) continue;
+      is_second = second;
       turns = guard;
       next = functions_.AdjacentPiece(here, guard, !on ? Side::kOther : rises ? Side::kAbove : Side::kBelow);
     }
@@ -441,9 +461,15 @@ bool RolloutRun::ChooseSwitchSides(Entry entry) {
         return false;
       }
       next = on;
-    } else if (PassesAfterSwitch(turns, next)) {
-      if (!ApplyReset(turns, /*with_step=*/true, /*immediate=*/false)) return false;
-      continue;
+    } else if (is_second) {
+      const bool passes = Passes(turns, next);
+      const int on = passes ? -1 : functions_.AdjacentPiece(here, turns, HybridFunctions::Side::kOn);
+      const bool stops = on >= 0 && functions_.AdjacentPiece(here, turns, HybridFunctions::Side::kSliding) < 0;
+      if (passes || stops) {
+        if (!ApplyReset(turns, /*with_step=*/true, /*immediate=*/false)) return false;
+        if (stops) at_.mode = on;
+        continue;
+      }
     }
     at_.mode = next;
   }

@@ -113,7 +113,8 @@ class RolloutRun {
   bool IsLastGrazing(int mode, int guard, double time) const;
   PendingEvent EarliestEvent(const FlowStep& step, const std::vector<GuardValue>& end);
   bool TakeEvent(const PendingEvent& due, const FlowStep& step);
-  bool PassesAfterSwitch(int other, int next) const;
+  bool IsSecondSwitch(int other) const;
+  bool Passes(int falling, int next) const;
   bool AreParallel(const ModePoint& a, int guard_a, const ModePoint& b, int guard_b) const;
   bool IsItsSwitch(int guard, int its_switch) const;
   std::vector<int> TiedGuards(const PendingEvent& due, int* first);

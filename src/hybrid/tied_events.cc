@@ -255,7 +255,9 @@ std::optional<TiedEvents::Outcome> TiedEvents::Follow(const Start& start, Direct
       time = then;
       time_size = behind ? now_size : value_size / std::abs(rate);
     }
-    if (direction.next_control != nullptr && (guard < 0 || (!immediate && direction.jump < time))) {
+    // Where no time passes any more, the motion goes on at rest, before events of a later time.
+    const bool rests = rest >= 0 && !immediate;
+    if (!rests && direction.next_control != nullptr && (guard < 0 || (!immediate && direction.jump < time))) {
       const Vector before = slope;
       at.u = std::exchange(direction.next_control, nullptr);
       u = direction.next_u;
@@ -265,7 +267,7 @@ std::optional<TiedEvents::Outcome> TiedEvents::Follow(const Start& start, Direct
       size += jumps.cwiseAbs() * std::abs(direction.jump);
       continue;
     }
-    if (guard < 0 && rest >= 0) {
+    if (rests) {
       const Vector before = slope;
       at.mode = rest;
       if (!SlopeAt(at, &slope_)) return std::nullopt;
