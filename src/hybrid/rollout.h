@@ -98,10 +98,12 @@ class RolloutRun {
 
   void SetGrid(int steps, std::span<const double> divisions);
   bool JumpsWithControl(int guard) const;
+  std::vector<int> TouchingGuards();
   bool SwitchControl();
   bool ChooseSwitchSides(Entry entry);
   bool StaysOnSwitch(const FlowStep& ahead, int guard, double fastest);
   bool JumpsFrom(const std::vector<double>& slope) const;
+  bool IsWithinTie() const;
   void RemarkOnSwitches(Entry entry);
   void RemarkOnRisingGuard(int guard);
   void RemarkOnSharedSurfaces(const FlowStep& here);
@@ -112,6 +114,8 @@ class RolloutRun {
   bool ApplyReset(int guard, bool with_step, bool immediate);
   bool IsLastGrazing(int mode, int guard, double time) const;
   PendingEvent EarliestEvent(const FlowStep& step, const std::vector<GuardValue>& end);
+  bool TurnsBackWithControl(const FlowStep& step, int guard, double s);
+  bool AreGuardAndItsSwitches(const std::vector<int>& guards) const;
   bool TakeEvent(const PendingEvent& due, const FlowStep& step);
   bool IsSecondSwitch(int other) const;
   bool Passes(int falling, int next) const;
