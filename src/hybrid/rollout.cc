@@ -251,7 +251,8 @@ bool RolloutRun::SwitchControl() {
   const std::size_t events = events_.size();
   const auto note_touches = [&] {  // that end where the control jumps
     for (const int guard : touching) {
-      const bool returns = events_.size() == events && at_.mode == mode && at_.guards[guard].rate > 0;
+      const bool returns = events_.size() == events && at_.mode == mode && at_.guards[guard].rate > 0 &&
+                           (!functions_.IsSwitch(mode, guard) || FlowJumpsAt(StepFrom(0), guard));
       if (returns && !IsLastGrazing(mode, guard, at_.t)) grazings_.push_back({at_.t, mode, guard});
     }
   };
@@ -933,8 +934,20 @@ bool RolloutRun::IsLastGrazing(int mode, int guard, double time) const {
          time - grazings_.back().time <= 1e-6 * input_->duration;
 }
 
-// Whether a switch that a step meets where the control jumps rises under the next control, on both of its sides: the
-// motion touches the switch and returns.
+// Whether the flows on both sides of a switch differ at a point.
+bool RolloutRun::FlowJumpsAt(const ModePoint& at, int guard) const {
+  ModePoint behind = at;
+  behind.mode = functions_.AdjacentPiece(at, guard, HybridFunctions::Side::kOther);
+  if (behind.mode < 0) return true;
+  Eigen::VectorXd slope(system_.state_size(at.mode)), other = slope;
+  functions_.Flow(at, slope.data());
+  functions_.Flow(behind, other.data());
+  const double largest = std::max(slope.lpNorm<Eigen::Infinity>(), other.lpNorm<Eigen::Infinity>());
+  return (slope - other).lpNorm<Eigen::Infinity>() > kSameSlope * largest;
+}
+
+// Whether a switch at which the flow jumps, and that a step meets where the control jumps, rises under the next
+// control, on both of its sides: the motion touches the switch and returns.
 bool RolloutRun::TurnsBackWithControl(const FlowStep& step, int guard, double s) {
   if (!functions_.IsSwitch(step.mode, guard)) return false;
   const int next = ControlJumpNear(*input_, system_.num_controls(), step.t + s, kAtJump);
@@ -942,6 +955,7 @@ bool RolloutRun::TurnsBackWithControl(const FlowStep& step, int guard, double s)
   FlowStep point = search_.PointAfter(step, at_.slope.data(), s);
   point.u = input_->control.data() + static_cast<std::ptrdiff_t>(next) * system_.num_controls();
   const FlowStep here = point;
+  if (!FlowJumpsAt(here, guard)) return false;
   for (const int mode : {step.mode, functions_.AdjacentPiece(here, guard, HybridFunctions::Side::kOther)}) {
     if (mode < 0) return false;
     point.mode = mode;

@@ -114,6 +114,7 @@ class RolloutRun {
   bool ApplyReset(int guard, bool with_step, bool immediate);
   bool IsLastGrazing(int mode, int guard, double time) const;
   PendingEvent EarliestEvent(const FlowStep& step, const std::vector<GuardValue>& end);
+  bool FlowJumpsAt(const ModePoint& at, int guard) const;
   bool TurnsBackWithControl(const FlowStep& step, int guard, double s);
   bool AreGuardAndItsSwitches(const std::vector<int>& guards) const;
   bool TakeEvent(const PendingEvent& due, const FlowStep& step);
