@@ -50,12 +50,14 @@ void CheckTakes(const Contact& contact, const Scene& scene) {
   if (!reason_not_applicable.empty()) throw py::value_error("contact " + contact.name() + ": " + reason_not_applicable);
 }
 
+void WarnOfRemark(const std::string& remark) {
+  if (!remark.empty() && PyErr_WarnEx(PyExc_RuntimeWarning, remark.c_str(), 1) < 0) throw py::error_already_set();
+}
+
 void WarnOfUnresolved(int unresolved_steps, int num_steps) {
   if (unresolved_steps == 0) return;
-  const std::string text =
-      "the motion is right to first order in the step only: " + DescribeUnresolved(unresolved_steps, num_steps) +
-      "; use more steps";
-  if (PyErr_WarnEx(PyExc_RuntimeWarning, text.c_str(), 1) < 0) throw py::error_already_set();
+  WarnOfRemark("the motion is right to first order in the step only: " +
+               DescribeUnresolved(unresolved_steps, num_steps) + "; use more steps");
 }
 
 Contact ReadContact(const py::handle& contact) {

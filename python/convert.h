@@ -30,6 +30,9 @@ void CheckRows(const Scene& scene, const std::string& name, std::span<const doub
 // ValueError with the reason if the model cannot take the scene.
 void CheckTakes(const Contact& contact, const Scene& scene);
 
+// RuntimeWarning with a remark on derivatives, if it is not empty.
+void WarnOfRemark(const std::string& remark);
+
 // RuntimeWarning if so many steps of a motion used the time-stepping fallback (simulate/events.h).
 void WarnOfUnresolved(int unresolved_steps, int num_steps);
 

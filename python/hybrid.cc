@@ -514,7 +514,8 @@ class Problem {
   }
 
   // The losses at points, rows of what is free, and their gradients if asked for: as of a problem that is evaluated for
-  // the first time. NaN where there is none, and the reasons by the numbers of the points.
+  // the first time. NaN where there is none, and the reasons, and the remarks on gradients, by the numbers of the
+  // points.
   py::tuple Losses(const Guess& guess, bool control, const std::vector<int>& initial,
                    const std::vector<int>& parameters, bool duration, const py::object& points, bool with_gradients,
                    int threads, const py::object& counter) const {
@@ -531,7 +532,7 @@ class Problem {
     const py::ssize_t count = any.shape(0);
     const Array read = ReadArray(any.attr("reshape")(count, size), "points", {count, size});
     Array losses(Shape{count}), gradients(Shape{with_gradients ? count : 0, size});
-    std::vector<std::string> reasons(count);
+    std::vector<std::string> reasons(count), remarks(with_gradients ? count : 0);
     std::vector<std::map<int, HybridShooting>> shootings(ReadThreads(threads));  // of each thread, by the first mode
     const double* from = read.data();
     double *loss = losses.mutable_data(), *gradient = with_gradients ? gradients.mutable_data() : nullptr;
@@ -557,19 +558,28 @@ class Problem {
             known = shootings[thread].emplace(mode, from_mode).first;
             known->second.set_accurate(true);
           }
-          known->second.simulator().ResetStepChoice();
-          if (!known->second.Evaluate(point, &loss[i], row)) why = known->second.FailureReason();
+          HybridShooting& shooting = known->second;
+          shooting.simulator().ResetStepChoice();
+          if (!shooting.Evaluate(point, &loss[i], row)) {
+            why = shooting.FailureReason();
+          } else if (with_gradients) {
+            remarks[i] =
+                JoinReasons(shooting.simulator().ReasonNotDifferentiable(), shooting.DescribeLossJumps(loss[i]));
+          }
         }
         if (why.empty()) return;
         loss[i] = std::numeric_limits<double>::quiet_NaN();
         if (row != nullptr) std::fill_n(row, size, loss[i]);
       });
     });
-    py::dict failures;
-    for (py::ssize_t i = 0; i < count; ++i) {
-      if (!reasons[i].empty()) failures[py::int_(i)] = reasons[i];
-    }
-    return py::make_tuple(losses, gradients, failures);
+    const auto by_number = [](const std::vector<std::string>& texts) {
+      py::dict out;
+      for (std::size_t i = 0; i < texts.size(); ++i) {
+        if (!texts[i].empty()) out[py::int_(i)] = texts[i];
+      }
+      return out;
+    };
+    return py::make_tuple(losses, gradients, by_number(reasons), by_number(remarks));
   }
 
   // The final state; with a cotangent of it also its derivative by initial state, control and parameters.
@@ -587,10 +597,13 @@ class Problem {
     if (cotangent.is_none()) return py::make_tuple(final_array);
     const Array by_final = ReadArray(cotangent, "cotangent", {size});
     HybridGradient by;
+    std::string remark;
     computation.RunOrThrow([&] {
       by = simulator.Adjoint(View(by_final));
       if (!simulator.ReasonNotFinite().empty()) throw std::runtime_error(simulator.ReasonNotFinite());
+      remark = simulator.ReasonNotDifferentiable();
     });
+    WarnOfRemark(remark);
     const py::ssize_t intervals = problem.guess.num_intervals, m = problem.system.num_controls();
     by.control.resize(intervals * m);
     by.parameters.resize(problem.guess.parameters.size());

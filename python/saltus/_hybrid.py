@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import copy
 import functools
+import itertools
 import json
 import os
+import warnings
 from typing import Any, Callable, Iterable, Mapping, Sequence, overload
 
 import numpy as np
@@ -1346,9 +1348,11 @@ class HybridBatch(Closed):
             fourth one, initial states, parameters, and the duration.
         num_variables: n.
         failures: the reasons why points of the last call have no loss or gradient, by their numbers.
+        remarks: why gradients of the last call are one-sided or do not exist, by the numbers of their points; a
+            RuntimeWarning tells their number and the first one.
     """
 
-    _attributes = ("problem", "optimize", "threads", "progress", "variables", "num_variables", "failures")
+    _attributes = ("problem", "optimize", "threads", "progress", "variables", "num_variables", "failures", "remarks")
 
     def __init__(self, problem: HybridProblem, *, optimize: Sequence[str] | None = None, threads: int = 0,
                  progress: bool | None = None):
@@ -1367,11 +1371,16 @@ class HybridBatch(Closed):
         self.variables += ["duration"] if duration else []
         self.num_variables = len(self.variables)
         self.failures: dict[int, str] = {}
+        self.remarks: dict[int, str] = {}
 
     def _losses(self, points: ArrayLike, with_gradients: bool) -> tuple[Any, Any]:
         free = self.problem._free(self.optimize)
         with CountedProgress("batch", self.progress) as shown:
-            losses, gradients, self.failures = self.problem._call("losses", *free, points, with_gradients, self.threads, shown.counter)
+            losses, gradients, self.failures, self.remarks = self.problem._call(
+                "losses", *free, points, with_gradients, self.threads, shown.counter)
+        for point, remark in itertools.islice(self.remarks.items(), 1):
+            warnings.warn(f"{len(self.remarks)} of {len(losses)} gradients have remarks; that of point {point}: {remark}",
+                          RuntimeWarning, stacklevel=3)
         return losses, gradients
 
     def loss(self, points: ArrayLike) -> Any:
@@ -1393,7 +1402,8 @@ class HybridEndState(Closed):
 
     ``end(initial, control, parameters)`` returns the state at the end, after events there, of shape (n,).
     ``end.vjp(initial, control, parameters, cotangent)`` returns the gradients of sum(cotangent * end(...)) by all three, by
-    one adjoint through all events. Each call chooses the integration steps, unless the problem has them.
+    one adjoint through all events. Each call chooses the integration steps, unless the problem has them. Where derivatives
+    are one-sided, or do not exist, a RuntimeWarning gives the reason, as ``remark`` of ``final_derivatives`` does.
     """
 
     _attributes = ("problem",)

@@ -415,3 +415,99 @@ def test_a_ball_comes_to_rest_where_its_bounces_accumulate(restitution):
         assert found.mode == "rest"
         assert_allclose(found.final, [0, 0], atol=1e-9)
         assert_allclose(found.events[-1][0], accumulated, rtol=1e-6)
+
+
+@pytest.mark.parametrize("signs", [(1, 1), (1, -1), (-1, 1, 1)])
+def test_blocks_that_come_to_rest_at_one_time(signs):
+    # Each rests on its switch from t = 1 on, at v0 |v0| / (2 mu); z counts the directions of those that still move.
+    n = len(signs)
+    weights = [1.0, 3.0, 5.0][:n]
+
+    def flow(t, x, p):
+        moves = [np.sign(v) for v in x[:n]]
+        return [-p[i] * moves[i] for i in range(n)] + list(x[:n]) + [sum(w * s for w, s in zip(weights, moves))]
+
+    blocks = saltus.HybridSystem(states={"m": [f"v{i}" for i in range(n)] + [f"x{i}" for i in range(n)] + ["z"]},
+                                 parameters=[f"mu{i}" for i in range(n)], flow={"m": flow})
+    mu = np.array([0.5, 1.0, 2.0])[:n]
+    v = np.array(signs) * mu
+    problem = saltus.HybridProblem(blocks, mode="m", initial=[*v, *[0] * (n + 1)], parameters=mu, duration=2.0)
+    found, motion = saltus.final_derivatives(problem), saltus.rollout(problem)
+    assert found.remark == motion.remark == ""
+    assert [time for time, _, _ in motion.switches] == pytest.approx([1] * n)
+    assert_allclose(motion.final, [*[0] * n, *(0.5 * v), np.dot(weights, signs)], atol=1e-12)
+    assert_allclose(found.by_initial[:n], 0, atol=1e-12)
+    assert_allclose(found.by_initial[n:-1, :n], np.diag(np.abs(v) / mu), atol=1e-12)
+    assert_allclose(found.by_parameters[n:-1], np.diag(-v * np.abs(v) / (2 * mu**2)), atol=1e-12)
+    assert_allclose(found.by_initial[-1, :n], weights / mu, atol=1e-12)
+    assert_allclose(found.by_parameters[-1], -np.array(weights) * v / mu**2, atol=1e-12)
+
+
+def test_a_guard_and_a_switch_at_one_time_have_derivatives_of_their_own():
+    for falls, by_b in ((lambda b: -np.where(b > 0, 1, 2.0), 2), (lambda b: -np.sign(b), 0)):
+        system = saltus.HybridSystem(
+            states={"m": ["a", "b", "z"]}, flow={"m": lambda x, falls=falls: [-1, falls(x[1]), np.sign(x[1])]},
+            guards={"m": {"g": lambda x: x[0]}}, resets={"m": {"g": lambda x: ("m", [x[0] + 5, x[1], x[2]])}})
+        found = saltus.final_derivatives(saltus.HybridProblem(system, mode="m", initial=[1, 1, 0], duration=2))
+        assert found.remark == ""
+        assert_allclose(found.by_initial, [[1, 0, 0], [0, by_b, 0], [0, 1 if by_b == 0 else 2, 1]], atol=1e-12)
+
+
+@pytest.mark.parametrize("flow, next_control", [(lambda x, u: [u[0], np.where(x[0] > 0, 1, 0 * x[0])], -1.0),
+                                                (lambda x, u: [u[0] + 0.3 * np.sign(x[0]), x[0]], 0.0)])
+def test_a_switch_that_is_touched_where_the_control_jumps_back(flow, next_control):
+    system = saltus.HybridSystem(states={"m": ["x", "y"]}, controls=["u"], flow={"m": flow})
+    start = -1.0 if next_control < 0 else -0.7
+    problem = saltus.HybridProblem(system, mode="m", initial=[start, 0], control=[[1], [next_control]], duration=2)
+    found = saltus.final_derivatives(problem)
+    assert found.remark == "switch 'x' grazes zero at t = 1"
+    # The derivative is that of motions that do not reach the switch.
+    ends = []
+    for less in (1e-6, 2e-6):
+        problem.initial = [start - less, 0]
+        ends.append(saltus.rollout(problem).final)
+    assert_allclose(found.by_initial[:, 0], (ends[0] - ends[1]) / 1e-6, atol=1e-8)
+
+
+def test_a_guard_that_is_its_switch_where_the_control_jumps():
+    flow = lambda force: lambda x, u: [x[1], u[0] + force - x[1] * abs(x[1])]
+    system = saltus.HybridSystem(states={m: ["x", "v"] for m in ("up", "down")}, controls=["u"],
+                                 flow={"up": flow(0), "down": flow(-1)}, guards={"up": {"apex": lambda x: x[1]}},
+                                 resets={"up": {"apex": lambda x: ("down", x)}})
+    problem = saltus.HybridProblem(system, mode="up", initial=[0, math.tan(0.5)], control=[[-1], [-2.0]], duration=1)
+    assert saltus.final_derivatives(problem).remark == "guard 'apex' has an event at t = 0.5, where the control jumps"
+
+
+KINKS = {"abs": (lambda t, x, p: abs(x[1] + 2), True), "max": (lambda t, x, p: np.maximum(x[2], x[1] + 2), True),
+         "of a parameter": (lambda t, x, p: abs(p[0] - 0.5), True), "of the time": (lambda t, x, p: np.minimum(t, 2), True),
+         "beside the event": (lambda t, x, p: abs(x[1] + 2.001), False), "smooth": (lambda t, x, p: abs(x[1]), False),
+         "of the guard": (lambda t, x, p: abs(x[0]), False), "smooth at zero": (lambda t, x, p: np.maximum(x[1] + 2, 0) ** 2, False)}
+
+
+def landing(kink, **options):
+    system = saltus.HybridSystem(
+        states={"m": ["y", "v", "z"]}, parameters=["e"], flow={"m": lambda t, x, p: [x[1], -1, 0]},
+        guards={"m": {"hit": lambda t, x, p: x[0]}},
+        resets={"m": {"hit": lambda t, x, p: ("m", [x[0], -p[0] * x[1], KINKS[kink][0](t, x, p)])}})
+    return saltus.HybridProblem(system, mode="m", initial=[2, 0, 0], parameters=[0.5], duration=2.5, **options)
+
+
+@pytest.mark.parametrize("kink", KINKS)
+def test_a_reset_with_a_kink_at_its_event_has_a_remark(kink):
+    remark = saltus.final_derivatives(landing(kink)).remark
+    expected = "the reset of guard 'hit' has a kink at its event at t = 2: its derivatives differ from side to side"
+    assert remark == (expected if KINKS[kink][1] else "")
+
+
+def test_batches_and_final_states_tell_their_remarks():
+    problem = landing("abs", costs=[saltus.terminal([0, 0, 0])])
+    batch = saltus.HybridBatch(problem, optimize=["initial"])
+    remark = saltus.final_derivatives(problem).remark
+    with pytest.warns(RuntimeWarning, match="2 of 3 gradients have remarks; that of point 0: the reset of guard 'hit'"):
+        batch.loss_and_gradient([[2, 0, 0], [2.1, 0, 0], [2, 0, 1]])
+    assert batch.remarks == {0: remark, 2: remark}
+    batch.loss_and_gradient([[2.1, 0, 0]])
+    assert batch.remarks == {}
+    end = saltus.HybridEndState(problem)
+    with pytest.warns(RuntimeWarning, match="the reset of guard 'hit' has a kink"):
+        end.vjp(end.initial, end.control, end.parameters, [1, 1, 1])

@@ -580,42 +580,33 @@ class HybridSimulator::Impl {
     return ties;
   }
 
-  // Whether the reset of an event jumps along the flow where its guard is zero, so that rounding decides on which side
-  // of the jump it is evaluated: its values just before and just behind the event differ, and do not approach each
-  // other.
-  bool JumpsAtItsEvent(const TapeEntry& entry) const {
-    constexpr double kBeside = 1e-8, kNearer = 1e-9;   // of the duration
-    constexpr double kChange = 1e-10, kRemains = 0.5;  // of the largest state, and of the difference at kBeside
-    const HybridFunctions& f = system.functions();
-    if (entry.kind != TapeEntry::Kind::kReset || f.IsSwitch(entry.mode, entry.guard) || f.CreatesModes()) return false;
-    const int n = system.state_size(entry.mode);
-    const double* u = input.control.data() + static_cast<std::ptrdiff_t>(entry.interval) * system.num_controls();
-    const double* x = &run->tape().numbers[entry.x];
-    std::vector<double> slope(n), beside(n), after(f.most_states());
-    f.Flow({entry.mode, entry.t, x, u, input.parameters.data()}, slope.data());
-    const auto reset_at = [&](double part, int* mode) {
-      const double later = part * input.duration;
-      for (int i = 0; i < n; ++i) beside[i] = x[i] + later * slope[i];
-      const int next =
-          f.Reset({entry.mode, entry.t + later, beside.data(), u, input.parameters.data()}, entry.guard, after.data());
-      *mode = next < 0 || next >= system.num_modes() ? -1 : f.BaseMode(next);
-      return *mode < 0 ? std::vector<double>() : std::vector(after.data(), after.data() + system.state_size(next));
+  // Returns remarks on resets that jump, or have a kink, at their events.
+  std::vector<TimedRemark> RemarksOnResets() {
+    const HybridFunctions& functions = system.functions();
+    const MotionTape& tape = run->tape();
+    const auto may_break = [&](const TapeEntry& entry) {
+      return entry.kind == TapeEntry::Kind::kReset && functions.ResetMayBreak(entry.mode, entry.guard);
     };
-    double difference[2] = {}, largest = 0;
-    for (const int i : {0, 1}) {
-      const double part = i == 0 ? kBeside : kNearer;
-      int before = 0, behind = 0;
-      const std::vector<double> a = reset_at(-part, &before), b = reset_at(part, &behind);
-      if (before != behind) {
-        difference[i] = std::numeric_limits<double>::infinity();
-        continue;
-      }
-      for (std::size_t k = 0; k < a.size(); ++k) {
-        difference[i] = std::max(difference[i], std::abs(b[k] - a[k]));
-        largest = std::max(largest, std::abs(a[k]));
+    std::vector<TimedRemark> remarks;
+    if (!done || std::ranges::none_of(tape.entries, may_break)) return remarks;
+    if (!has_kinks) has_kinks = derivatives.FindKinksOfResets(input, tape);
+    const TiedEvents tied(system, options);
+    for (std::size_t i = 0; i < tape.entries.size(); ++i) {
+      const TapeEntry& entry = tape.entries[i];
+      if (!may_break(entry)) continue;
+      const double* u = input.control.data() + static_cast<std::ptrdiff_t>(entry.interval) * system.num_controls();
+      const ModePoint at{entry.mode, entry.t, &tape.numbers[entry.x], u, input.parameters.data()};
+      const std::string reset = "the reset of guard '" + functions.GuardName(entry.mode, entry.guard) + "' ";
+      if (tied.JumpsAtItsEvent(at, entry.guard, input.duration)) {
+        remarks.push_back({reset + "jumps at its event",
+                           entry.t,
+                           ", and rounding decides on which side of the jump it is: let it decide by a mode, or by a "
+                           "number that is away from the jump"});
+      } else if ((*has_kinks)[i] != 0) {
+        remarks.push_back({reset + "has a kink at its event", entry.t, ": its derivatives differ from side to side"});
       }
     }
-    return difference[0] > kChange * largest && difference[1] >= kRemains * difference[0];
+    return remarks;
   }
 
   static bool IsFinite(const std::vector<std::vector<double>>& rows) { return std::ranges::all_of(rows, AllFinite); }
@@ -646,6 +637,7 @@ class HybridSimulator::Impl {
   MotionDerivatives derivatives;
   // Results about the last rollout, once they have been asked for.
   std::vector<char> one_sided;
+  std::optional<std::vector<char>> has_kinks;  // of each entry of the tape: of its reset
   std::vector<HybridTie> ties;
 };
 
@@ -670,6 +662,7 @@ bool HybridSimulator::Rollout(const HybridInput& input) {
   if (input.control.empty())
     at.input.control.resize(static_cast<std::size_t>(input.num_intervals) * at.system.num_controls());
   at.one_sided.clear();
+  at.has_kinks.reset();
   at.ties.clear();
   at.why_not_finite.clear();
   at.error.reset();
@@ -763,14 +756,8 @@ std::string HybridSimulator::ReasonNotDifferentiable() const {
          grazing.time,
          is_switch ? "" : ": it touches zero and returns, and an event happens only where it falls through zero"});
   }
-  for (const TapeEntry& entry : run.tape().entries) {
-    if (!impl_->JumpsAtItsEvent(entry)) continue;
-    remarks.push_back(
-        {"the reset of guard '" + functions.GuardName(entry.mode, entry.guard) + "' jumps at its event",
-         entry.t,
-         ", and rounding decides on which side of the jump it is: let it decide by a mode, or by a number "
-         "that is away from the jump"});
-  }
+  const std::vector<TimedRemark> of_resets = impl_->RemarksOnResets();
+  remarks.insert(remarks.end(), of_resets.begin(), of_resets.end());
   const std::vector<HybridTie>& ties = impl_->Ties();
   for (const HybridTie& tie : ties) {
     if (tie.ambiguous) remarks.push_back(RemarkOnTie(system, tie, "the order of their events matters"));

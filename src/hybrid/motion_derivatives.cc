@@ -267,9 +267,8 @@ MotionDerivatives::Change MotionDerivatives::CompareWithHalvedCutSteps(const Hyb
   return out;
 }
 
-std::vector<char> MotionDerivatives::FindOneSided(const HybridInput& input, const MotionTape& tape, TiedEvents* tied) {
+MotionDerivatives::Directions MotionDerivatives::MakeDirections(const HybridInput& input) const {
   const int n0 = system_.state_size(input.mode), num_parameters = system_.num_parameters();
-  const int num_controls = system_.num_controls(), all_controls = input.num_intervals * num_controls;
   // Directions: two of all inputs, one in their own units; and of each kind of input alone.
   constexpr int kDirections = 5;
   NormalStream random(1);
@@ -281,23 +280,85 @@ std::vector<char> MotionDerivatives::FindOneSided(const HybridInput& input, cons
     }
     return out;
   };
-  const Eigen::MatrixXd controls = directions(input.control, all_controls, 2);
-  RungeKutta::Tangent at, before;
-  at.x = directions(input.initial, n0, 3);
-  at.p = directions(input.parameters, num_parameters, 4);
-  at.t = Eigen::RowVectorXd::Zero(kDirections);
-  const Eigen::RowVectorXd of_duration = directions({input.duration}, 1, 2);
+  Directions out;
+  out.controls = directions(input.control, input.num_intervals * system_.num_controls(), 2);
+  out.begin.x = directions(input.initial, n0, 3);
+  out.begin.p = directions(input.parameters, num_parameters, 4);
+  out.begin.t = Eigen::RowVectorXd::Zero(kDirections);
+  out.duration = directions({input.duration}, 1, 2);
+  return out;
+}
+
+std::vector<char> MotionDerivatives::FindOneSided(const HybridInput& input, const MotionTape& tape, TiedEvents* tied) {
+  const int num_controls = system_.num_controls();
+  const Directions directions = MakeDirections(input);
+  RungeKutta::Tangent at = directions.begin, before;
   std::vector<char> one_sided;
   for (std::size_t i = 0; i < tape.entries.size() && one_sided.size() < tape.coincidences.size(); ++i) {
     const Coincidence& coincidence = tape.coincidences[one_sided.size()];
-    at.u = controls.middleRows(tape.entries[i].interval * num_controls, num_controls);
-    PushForward(input, tape, tape.entries[i], of_duration, &at);
+    at.u = directions.controls.middleRows(tape.entries[i].interval * num_controls, num_controls);
+    PushForward(input, tape, tape.entries[i], directions.duration, &at);
     if (i == coincidence.begin) before = at;
     if (i + 1 == coincidence.end) {
-      one_sided.push_back(IsOneSided(input, tape, coincidence, before, at, controls, of_duration, tied));
+      one_sided.push_back(
+          IsOneSided(input, tape, coincidence, before, at, directions.controls, directions.duration, tied));
     }
   }
   return one_sided;
+}
+
+std::vector<char> MotionDerivatives::FindKinksOfResets(const HybridInput& input, const MotionTape& tape) {
+  const Directions directions = MakeDirections(input);
+  RungeKutta::Tangent at = directions.begin;
+  std::vector<char> has_kink;
+  for (const TapeEntry& entry : tape.entries) {
+    at.u = directions.controls.middleRows(entry.interval * system_.num_controls(), system_.num_controls());
+    const bool may_have = entry.kind == TapeEntry::Kind::kReset &&
+                          system_.functions().ResetMayBreak(entry.mode, entry.guard) && at.x.allFinite();
+    has_kink.push_back(may_have && HasKink(StepOf(input, tape, entry), entry.guard, at));
+    PushForward(input, tape, entry, directions.duration, &at);
+  }
+  return has_kink;
+}
+
+// Whether the slopes of a reset along one of the directions differ from one side of the event to the other, and do not
+// approach each other nearer to it.
+bool MotionDerivatives::HasKink(const ModePoint& event, int guard, const RungeKutta::Tangent& directions) const {
+  constexpr double kBeside = 1e-6, kNearer = 1e-7;  // of the size of the state and the parameters
+  constexpr double kChange = 1e-5, kRemains = 0.5;  // of the slopes, and of their difference at kBeside
+  constexpr double kRounding = 1e-14;               // of the state after the reset
+  using Vector = Eigen::VectorXd;
+  const HybridFunctions& f = system_.functions();
+  const Eigen::Map<const Vector> x(event.x, directions.x.rows()), p(event.p, directions.p.rows());
+  const auto reset_at = [&](Eigen::Index column, double part, int* mode) {
+    const Vector moved = x + part * directions.x.col(column), moved_p = p + part * directions.p.col(column);
+    Vector after = Vector::Zero(f.most_states());
+    const int next = f.Reset({event.mode, event.t + part * directions.t[column], moved.data(), event.u, moved_p.data()},
+                             guard,
+                             after.data());
+    *mode = next < 0 ? -1 : f.BaseMode(next);
+    if (next >= 0) after.conservativeResize(system_.state_size(next));
+    return after;
+  };
+  for (Eigen::Index column = 0; column < directions.t.size(); ++column) {
+    const double size = (1 + x.norm() + p.norm()) / (1 + directions.x.col(column).norm() +
+                                                     directions.p.col(column).norm() + std::abs(directions.t[column]));
+    double difference[2] = {}, known = 0;
+    for (const int i : {0, 1}) {
+      const double part = (i == 0 ? kBeside : kNearer) * size;
+      int mode = 0, mode_before = 0, mode_behind = 0;
+      const Vector at = reset_at(column, 0, &mode), before = reset_at(column, -part, &mode_before),
+                   behind = reset_at(column, part, &mode_behind);
+      if (mode < 0) return false;
+      if (mode_before != mode || mode_behind != mode) return true;
+      const Vector slope = (behind - at) / part, slope_before = (at - before) / part;
+      difference[i] = (slope - slope_before).lpNorm<Eigen::Infinity>();
+      known = kChange * std::max(slope.lpNorm<Eigen::Infinity>(), slope_before.lpNorm<Eigen::Infinity>()) +
+              kRounding * at.lpNorm<Eigen::Infinity>() / part;
+    }
+    if (difference[0] > known && difference[1] > known && difference[1] >= kRemains * difference[0]) return true;
+  }
+  return false;
 }
 
 void MotionDerivatives::Compare(const HybridInput& input, const MotionTape& tape, const Coincidence& coincidence,

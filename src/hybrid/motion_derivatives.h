@@ -32,6 +32,9 @@ class MotionDerivatives {
   // Returns for each coincidence of the tape whether the derivative differs on another side: changes of the motion in
   // some directions of the input are compared with those that its events lead to if their order follows the change.
   std::vector<char> FindOneSided(const HybridInput& input, const MotionTape& tape, TiedEvents* tied);
+  // Returns for each entry of the tape whether it is a reset with a kink or a jump at the state of its event: in some
+  // directions of the input, its change on one side is not that on the other.
+  std::vector<char> FindKinksOfResets(const HybridInput& input, const MotionTape& tape);
   // Sets the spread of the tie of a coincidence.
   void Compare(const HybridInput& input, const MotionTape& tape, const Coincidence& coincidence, TiedEvents* tied,
                HybridTie* tie) const;
@@ -58,6 +61,14 @@ class MotionDerivatives {
   bool IsOneSided(const HybridInput& input, const MotionTape& tape, const Coincidence& coincidence,
                   const RungeKutta::Tangent& before, const RungeKutta::Tangent& after, const Eigen::MatrixXd& controls,
                   const Eigen::RowVectorXd& of_duration, TiedEvents* tied);
+  // Changes of the input, and of the state at the beginning.
+  struct Directions {
+    Eigen::MatrixXd controls;
+    Eigen::RowVectorXd duration;
+    RungeKutta::Tangent begin;
+  };
+  Directions MakeDirections(const HybridInput& input) const;
+  bool HasKink(const ModePoint& event, int guard, const RungeKutta::Tangent& directions) const;
   std::string VariableName(int mode, int column) const;
   FlowStep StepOf(const HybridInput& input, const MotionTape& tape, const TapeEntry& entry) const;
 

@@ -603,6 +603,11 @@ RecordedFunction::RecordedFunction(const ExpressionGraph& recording)
   Builder builder(recording);
   values_ = builder.Values();
   derivatives_ = builder.Derivatives();
+  may_break_ = std::ranges::any_of(values_.instructions, [](const Tape::Instruction& at) {
+    using enum Operation;
+    return at.operation == kWhere || at.operation == kAbs || at.operation == kSign || at.operation == kFloor ||
+           at.operation == kLess || at.operation == kLessEqual;
+  });
 }
 
 // Evaluates a function, or it and its derivatives, at inputs of which any may be changed from one time to the next.

@@ -129,6 +129,8 @@ class RecordedFunction {
   // Whether it has an exponential, a quotient or what behaves so: it may change within any time and be flat beside it.
   // Other functions have tails that steps see.
   bool MayHideChanges() const;
+  // Whether it decides by conditions, abs, sign or floor, so that it may have kinks or jumps.
+  bool MayBreak() const { return may_break_; }
   // Computes the outputs and their derivatives by the inputs: row-major, of the first `columns` inputs.
   void Linearize(std::span<const Part> inputs, int columns, double* outputs, double* jacobian) const;
   // Linearizes with the parts of a cost function: any of `jacobians` may be null.
@@ -164,6 +166,7 @@ class RecordedFunction {
 
   ExpressionGraph recording_;
   int num_inputs_ = 0, num_outputs_ = 0;
+  bool may_break_ = false;
   Tape values_, derivatives_;
 };
 
@@ -210,6 +213,9 @@ class RecordedSystem final : public HybridFunctions {
   int PieceAt(const ModePoint& point) const override;
   int AdjacentPiece(const ModePoint& point, int guard, Side side) const override;
   bool IsOn(int mode, int guard) const override;
+  bool ResetMayBreak(int mode, int guard) const override {
+    return !IsSwitch(mode, guard) && transition(mode, guard).reset.MayBreak();
+  }
 
   void Flow(const ModePoint& at, double* xdot) const override;
   void FlowJacobian(const ModePoint& at, double* xdot, double* jacobian) const override;

@@ -221,6 +221,19 @@ bool RolloutRun::JumpsWithControl(int guard) const {
 }
 
 // The control has jumped: the motion goes on in the mode that the system's functions return.
+// Returns guards that have fallen to zero up to rounding where at_ is.
+std::vector<int> RolloutRun::TouchingGuards() {
+  std::vector<int> touching;
+  for (int guard = 0; guard < system_.num_guards(at_.mode); ++guard) {
+    const GuardValue& value = at_.guards[guard];
+    if (at_.armed[guard] == 0 || at_.armed[guard] == kHeld) continue;
+    if (!(value.value <= kNear * -value.rate * input_->duration)) continue;
+    if (value.value <= search_.WindowOf(StepFrom(0), guard, value.rate, Elapsed(at_.t)).integrated)
+      touching.push_back(guard);
+  }
+  return touching;
+}
+
 bool RolloutRun::SwitchControl() {
   const FlowStep here = StepFrom(0);
   const int next = functions_.ModeAfterControlJump(here);
@@ -234,13 +247,22 @@ bool RolloutRun::SwitchControl() {
     return EnterMode(Entry::kAfterReset);
   }
   const int mode = at_.mode;
+  const std::vector<int> touching = TouchingGuards();
+  const std::size_t events = events_.size();
+  const auto note_touches = [&] {  // that end where the control jumps
+    for (const int guard : touching) {
+      const bool returns = events_.size() == events && at_.mode == mode && at_.guards[guard].rate > 0 &&
+                           (!functions_.IsSwitch(mode, guard) || FlowJumpsAt(StepFrom(0), guard));
+      if (returns && !IsLastGrazing(mode, guard, at_.t)) grazings_.push_back({at_.t, mode, guard});
+    }
+  };
   bool enters = std::count(at_.at_zero.begin(), at_.at_zero.end(), 0) < std::ssize(at_.at_zero);
   for (int guard = 0; guard < system_.num_guards(mode); ++guard) {
     enters = enters || functions_.IsSwitch(mode, guard) || JumpsWithControl(guard);
   }
   if (enters) {
-    const std::size_t events = events_.size();
     if (!EnterMode(Entry::kControlJump)) return false;
+    note_touches();
     if (at_.mode != mode && events_.size() == events) {
       switches_.push_back({.time = at_.t, .mode = mode, .guard = -1, .next_mode = at_.mode, .before = {}, .after = {}});
     }
@@ -249,6 +271,7 @@ bool RolloutRun::SwitchControl() {
   Remark(functions_.ReasonNoDerivative(here, -1));
   if (!UpdateSlope()) return false;
   UpdateGuards();
+  note_touches();
   return true;
 }
 
@@ -350,20 +373,36 @@ bool RolloutRun::StaysOnSwitch(const FlowStep& ahead, int guard, double fastest)
   return true;
 }
 
-// Whether the motion has just passed a switch and passes another one at the same time, into the piece `next`, whose
-// surface is another: it then has its own event, as its time depends on other numbers.
-bool RolloutRun::PassesAfterSwitch(int other, int next) const {
+// Whether the motion has just met a switch, and this one fell to zero at the same time without having been met yet: it
+// then has an event of its own, as its time depends on other numbers.
+bool RolloutRun::IsSecondSwitch(int other) const {
   if (events_.empty() || !events_.back().is_switch || tape_.entries.back().kind != TapeEntry::Kind::kReset)
     return false;
-  const HybridEvent& last = events_.back();
+  if (!IsWithinTie()) return false;
+  const Coincidence& tied = tape_.coincidences.back();
   const FlowStep here = StepFrom(0);
-  FlowStep before = here, behind = here;
-  before.mode = last.mode;
+  const auto is_same = [&](int mode, int guard) {
+    return functions_.BaseMode(mode) == functions_.BaseMode(at_.mode) &&
+           AreParallel({mode, here.t, here.x, here.u, here.p}, guard, here, other);
+  };
+  bool met = functions_.IsOn(at_.mode, other);
+  for (std::size_t i = tied.begin; i < tape_.entries.size() && !met; ++i) {
+    const TapeEntry& entry = tape_.entries[i];
+    met = entry.kind == TapeEntry::Kind::kReset && is_same(entry.mode, entry.guard);
+  }
+  const int first_mode = tape_.entries[tied.begin].mode;
+  return !met && std::ranges::any_of(tied.guards, [&](int guard) { return is_same(first_mode, guard); });
+}
+
+// Whether a switch falls behind its zero, in the piece `next`, as it does before.
+bool RolloutRun::Passes(int falling, int next) const {
+  if (next < 0) return false;
+  const FlowStep here = StepFrom(0);
+  FlowStep behind = here;
   behind.mode = next;
-  if (next < 0 || functions_.IsOn(at_.mode, other) || AreParallel(before, last.guard, here, other)) return false;
   std::vector<double> slope(system_.state_size(next));
   functions_.Flow(behind, slope.data());
-  return search_.GuardAt(here, slope.data(), other).rate < 0;
+  return search_.GuardAt(here, slope.data(), falling).rate < 0;
 }
 
 // Whether the gradients of two guards are parallel.
@@ -393,7 +432,8 @@ bool RolloutRun::ChooseSwitchSides(Entry entry) {
     search_.EnterMode(here);
     const int count = system_.num_guards(at_.mode);
     int turns = -1, next = -1;
-    for (int guard = count - functions_.num_switches(at_.mode); guard < count && turns < 0; ++guard) {
+    bool is_second = false;  // what is met first is settled first
+    for (int guard = count - functions_.num_switches(at_.mode); guard < count && (turns < 0 || is_second); ++guard) {
       const GuardValue& value = at_.guards[guard];
       if (!std::isfinite(value.value))
         return Refuse(QualifiedGuardName(at_.mode, guard) + " is not a finite number in " + DescribeTime());
@@ -407,6 +447,9 @@ bool RolloutRun::ChooseSwitchSides(Entry entry) {
       const bool waits = entry == Entry::kControlJump && at_.mode == mode && standing == GuardStatus::kFalling &&
                          at_.armed[guard] != 0 && !functions_.ReadsControl(at_.mode, guard);
       if (on ? stays : rises || waits) continue;
+      const bool second = IsSecondSwitch(guard);
+      if (turns >= 0 && second) continue;
+      is_second = second;
       turns = guard;
       next = functions_.AdjacentPiece(here, guard, !on ? Side::kOther : rises ? Side::kAbove : Side::kBelow);
     }
@@ -441,9 +484,15 @@ bool RolloutRun::ChooseSwitchSides(Entry entry) {
         return false;
       }
       next = on;
-    } else if (PassesAfterSwitch(turns, next)) {
-      if (!ApplyReset(turns, /*with_step=*/true, /*immediate=*/false)) return false;
-      continue;
+    } else if (is_second) {
+      const bool passes = Passes(turns, next);
+      const int on = passes ? -1 : functions_.AdjacentPiece(here, turns, HybridFunctions::Side::kOn);
+      const bool stops = on >= 0 && functions_.AdjacentPiece(here, turns, HybridFunctions::Side::kSliding) < 0;
+      if (passes || stops) {
+        if (!ApplyReset(turns, /*with_step=*/true, /*immediate=*/false)) return false;
+        if (stops) at_.mode = on;
+        continue;
+      }
     }
     at_.mode = next;
   }
@@ -518,8 +567,15 @@ bool RolloutRun::AllLandOn(int guard) const {
   return (change - change.dot(direction) * direction).norm() <= kSameSlope * change.norm();
 }
 
+// Whether the motion is among the events of guards that reach zero together, which TiedEvents compares.
+bool RolloutRun::IsWithinTie() const {
+  return !tape_.coincidences.empty() && tape_.coincidences.back().end == 0 &&
+         tape_.coincidences.back().guards.size() > 1;
+}
+
 // A motion that begins on a switch, or is reset onto it, has one-sided derivatives if the flow jumps there.
 void RolloutRun::RemarkOnSwitches(Entry entry) {
+  if (entry != Entry::kStart && IsWithinTie()) return;
   const FlowStep here = StepFrom(tape_.step);
   const int count = system_.num_guards(at_.mode), mode = at_.mode;
   const std::vector<double> slope = at_.slope;
@@ -555,9 +611,7 @@ void RolloutRun::RemarkOnSwitches(Entry entry) {
 void RolloutRun::RemarkOnRisingGuard(int guard) {
   const HybridEvent& event = events_.back();
   if (functions_.CreatesModes() || event.is_switch || (event.mode == at_.mode && event.guard == guard)) return;
-  const bool tied =
-      !tape_.coincidences.empty() && tape_.coincidences.back().end == 0 && tape_.coincidences.back().guards.size() > 1;
-  if (tied) return;
+  if (IsWithinTie()) return;
   if (!AllLandOn(guard)) Remark("the reset", " leads onto guard '" + system_.GuardName(at_.mode, guard) + "'");
 }
 
@@ -880,6 +934,38 @@ bool RolloutRun::IsLastGrazing(int mode, int guard, double time) const {
          time - grazings_.back().time <= 1e-6 * input_->duration;
 }
 
+// Whether the flows on both sides of a switch differ at a point.
+bool RolloutRun::FlowJumpsAt(const ModePoint& at, int guard) const {
+  ModePoint behind = at;
+  behind.mode = functions_.AdjacentPiece(at, guard, HybridFunctions::Side::kOther);
+  if (behind.mode < 0) return true;
+  Eigen::VectorXd slope(system_.state_size(at.mode)), other = slope;
+  functions_.Flow(at, slope.data());
+  functions_.Flow(behind, other.data());
+  const double largest = std::max(slope.lpNorm<Eigen::Infinity>(), other.lpNorm<Eigen::Infinity>());
+  return (slope - other).lpNorm<Eigen::Infinity>() > kSameSlope * largest;
+}
+
+// Whether a switch at which the flow jumps, and that a step meets where the control jumps, rises under the next
+// control, on both of its sides: the motion touches the switch and returns.
+bool RolloutRun::TurnsBackWithControl(const FlowStep& step, int guard, double s) {
+  if (!functions_.IsSwitch(step.mode, guard)) return false;
+  const int next = ControlJumpNear(*input_, system_.num_controls(), step.t + s, kAtJump);
+  if (next != interval_ + 1) return false;
+  FlowStep point = search_.PointAfter(step, at_.slope.data(), s);
+  point.u = input_->control.data() + static_cast<std::ptrdiff_t>(next) * system_.num_controls();
+  const FlowStep here = point;
+  if (!FlowJumpsAt(here, guard)) return false;
+  for (const int mode : {step.mode, functions_.AdjacentPiece(here, guard, HybridFunctions::Side::kOther)}) {
+    if (mode < 0) return false;
+    point.mode = mode;
+    std::vector<double> slope(system_.state_size(mode));
+    functions_.Flow(point, slope.data());
+    if (!(search_.GuardAt(here, slope.data(), guard).rate > 0)) return false;
+  }
+  return true;
+}
+
 // Returns the earliest event of the armed guards in a step; guards that graze are noted, and disarmed if they end at 0.
 RolloutRun::PendingEvent RolloutRun::EarliestEvent(const FlowStep& step, const std::vector<GuardValue>& end) {
   PendingEvent earliest;
@@ -896,9 +982,11 @@ RolloutRun::PendingEvent RolloutRun::EarliestEvent(const FlowStep& step, const s
       found = search_.FindSinking(step, at_.slope.data(), guard, begin, end[guard], Elapsed(step.t));
       sinks = found.kind == EventSearch::GuardCrossing::Kind::kEvent;
     }
-    if (found.kind == EventSearch::GuardCrossing::Kind::kEvent) {
+    const bool turns_back =
+        found.kind == EventSearch::GuardCrossing::Kind::kEvent && TurnsBackWithControl(step, guard, found.s);
+    if (found.kind == EventSearch::GuardCrossing::Kind::kEvent && !turns_back) {
       if (earliest.guard < 0 || found.s < earliest.s) earliest = {guard, found.s, sinks};
-    } else if (found.kind == EventSearch::GuardCrossing::Kind::kGrazing) {
+    } else if (found.kind == EventSearch::GuardCrossing::Kind::kGrazing || turns_back) {
       if (end[guard].value <= 0) {  // the next step tells whether it returns
         at_.armed[guard] = false;
         at_.at_zero[guard] = true;
@@ -975,6 +1063,15 @@ std::vector<int> RolloutRun::TiedGuards(const PendingEvent& due, int* first) {
   return tied;
 }
 
+// Whether these are one guard and switches that reach zero with it in all motions nearby, to first order, so that their
+// order is no question.
+bool RolloutRun::AreGuardAndItsSwitches(const std::vector<int>& guards) const {
+  const FlowStep here = StepFrom(0);
+  const auto turns = [&](int guard) { return functions_.IsSwitch(at_.mode, guard); };
+  return std::ranges::count_if(guards, turns) + 1 == std::ssize(guards) &&
+         std::ranges::all_of(guards, [&](int guard) { return AreParallel(here, guards.front(), here, guard); });
+}
+
 bool RolloutRun::TakeEvent(const PendingEvent& due, const FlowStep& step) {
   FlowStep part = step;
   part.h = due.s;
@@ -994,7 +1091,11 @@ bool RolloutRun::TakeEvent(const PendingEvent& due, const FlowStep& step) {
   if (coincidence.guards.size() > 1) {
     coincidence.tie = static_cast<int>(ties_.size());
     const HybridTie& tie = ties_.emplace_back(HybridTie{.time = at_.t, .mode = at_.mode, .guards = coincidence.guards});
-    coincidence.remark = RemarkOnTie(system_, tie, "the derivatives depend on the order of their events");
+    coincidence.remark = RemarkOnTie(system_,
+                                     tie,
+                                     ControlJumpNear(*input_, system_.num_controls(), at_.t, kAtJump) > 0
+                                         ? "the control jumps: the derivatives depend on the order of all these"
+                                         : "the derivatives depend on the order of their events");
   }
   if (due.sinks) {
     Remark(name + kSinks, kAtRateZero);
@@ -1013,7 +1114,8 @@ bool RolloutRun::TakeEvent(const PendingEvent& due, const FlowStep& step) {
   if (at_end) {
     if (!turns) Remark(name + " has an event at the final time");
     coincidence.jump = -1;
-  } else if (coincidence.jump > 0 && coincidence.remark.empty()) {
+  } else if (coincidence.jump > 0 && (coincidence.remark.empty() || AreGuardAndItsSwitches(coincidence.guards))) {
+    coincidence.tie = -1;
     coincidence.remark = {name + " has an event",
                           at_.t,
                           control_jumps ? ", where the control jumps"

@@ -98,10 +98,12 @@ class RolloutRun {
 
   void SetGrid(int steps, std::span<const double> divisions);
   bool JumpsWithControl(int guard) const;
+  std::vector<int> TouchingGuards();
   bool SwitchControl();
   bool ChooseSwitchSides(Entry entry);
   bool StaysOnSwitch(const FlowStep& ahead, int guard, double fastest);
   bool JumpsFrom(const std::vector<double>& slope) const;
+  bool IsWithinTie() const;
   void RemarkOnSwitches(Entry entry);
   void RemarkOnRisingGuard(int guard);
   void RemarkOnSharedSurfaces(const FlowStep& here);
@@ -112,8 +114,12 @@ class RolloutRun {
   bool ApplyReset(int guard, bool with_step, bool immediate);
   bool IsLastGrazing(int mode, int guard, double time) const;
   PendingEvent EarliestEvent(const FlowStep& step, const std::vector<GuardValue>& end);
+  bool FlowJumpsAt(const ModePoint& at, int guard) const;
+  bool TurnsBackWithControl(const FlowStep& step, int guard, double s);
+  bool AreGuardAndItsSwitches(const std::vector<int>& guards) const;
   bool TakeEvent(const PendingEvent& due, const FlowStep& step);
-  bool PassesAfterSwitch(int other, int next) const;
+  bool IsSecondSwitch(int other) const;
+  bool Passes(int falling, int next) const;
   bool AreParallel(const ModePoint& a, int guard_a, const ModePoint& b, int guard_b) const;
   bool IsItsSwitch(int guard, int its_switch) const;
   std::vector<int> TiedGuards(const PendingEvent& due, int* first);

@@ -17,6 +17,19 @@ constexpr std::size_t kMostTied = 4;  // guards of which all orders are tried
 constexpr int kMostOrders = 24;
 constexpr int kMostTransitions = 400;  // in the orders of more guards, on average one each
 
+using RowMap = Eigen::Map<const Eigen::RowVectorXd>;
+
+// Returns the change of a guard along a direction and a change of the time, given its gradient by [x t p u] with n
+// states, and the sum of the absolute values of its terms.
+std::pair<double, double> ChangeOf(const double* gradient, int n, const TiedEvents::Direction& direction, double time,
+                                   double time_size) {
+  const RowMap by_x(gradient, n), by_p(gradient + n + 1, direction.p.size()),
+      by_u(gradient + n + 1 + direction.p.size(), direction.u.size());
+  return {by_x.dot(direction.x) + gradient[n] * time + by_p.dot(direction.p) + by_u.dot(direction.u),
+          by_x.cwiseAbs().dot(direction.size) + std::abs(gradient[n]) * time_size +
+              by_p.cwiseAbs().dot(direction.p.cwiseAbs()) + by_u.cwiseAbs().dot(direction.u.cwiseAbs())};
+}
+
 }  // namespace
 
 TiedEvents::TiedEvents(const HybridSystem& system, const HybridOptions& options)
@@ -199,13 +212,41 @@ bool TiedEvents::Bounces(const FlowStep& at, int guard, const Direction& directi
   return false;
 }
 
+bool TiedEvents::JumpsAtItsEvent(const ModePoint& event, int guard, double duration) const {
+  constexpr double kBeside = 1e-8, kNearer = 1e-9;   // of the duration
+  constexpr double kChange = 1e-10, kRemains = 0.5;  // of the largest state, and of the difference at kBeside
+  std::vector<double> slope, beside(event.x, event.x + system_.state_size(event.mode)), after(functions_.most_states());
+  SlopeAt(event, &slope);
+  const auto reset_at = [&](double later, int* mode) {
+    for (std::size_t i = 0; i < beside.size(); ++i) beside[i] = event.x[i] + later * slope[i];
+    const int next =
+        functions_.Reset({event.mode, event.t + later, beside.data(), event.u, event.p}, guard, after.data());
+    *mode = next < 0 || next >= system_.num_modes() ? -1 : functions_.BaseMode(next);
+    return *mode < 0 ? std::vector<double>() : std::vector(after.data(), after.data() + system_.state_size(next));
+  };
+  double difference[2] = {}, largest = 0;
+  for (const int i : {0, 1}) {
+    const double later = (i == 0 ? kBeside : kNearer) * duration;
+    int before = 0, behind = 0;
+    const std::vector<double> a = reset_at(-later, &before), b = reset_at(later, &behind);
+    if (before != behind) {
+      difference[i] = std::numeric_limits<double>::infinity();
+      continue;
+    }
+    for (std::size_t k = 0; k < a.size(); ++k) {
+      difference[i] = std::max(difference[i], std::abs(b[k] - a[k]));
+      largest = std::max(largest, std::abs(a[k]));
+    }
+  }
+  return difference[0] > kChange * largest && difference[1] >= kRemains * difference[0];
+}
+
 std::optional<TiedEvents::Outcome> TiedEvents::Follow(const Start& start, Direction direction) {
   using Vector = Eigen::VectorXd;
-  using Row = Eigen::Map<const Eigen::RowVectorXd>;
   FlowStep at = start.at;
   std::vector<double> x(at.x, at.x + system_.state_size(at.mode));
   Vector &change = direction.x, &size = direction.size, &u = direction.u;
-  const int num_parameters = system_.num_parameters(), num_controls = system_.num_controls();
+  const int num_parameters = system_.num_parameters();
   double now = 0, now_size = 0;  // of the last event, to first order
   happened_.clear();
   const std::size_t limit = 2 + static_cast<std::size_t>(options_.most_repeats) * start.guards.size();
@@ -225,12 +266,8 @@ std::optional<TiedEvents::Outcome> TiedEvents::Follow(const Start& start, Direct
     double time = 0, time_size = 0;
     for (const Candidate& candidate : candidates_) {
       functions_.GuardGradient(at, candidate.guard, gradient_.data());
-      const Row by_x(gradient_.data(), n), by_p(gradient_.data() + n + 1, num_parameters),
-          by_u(gradient_.data() + n + 1 + num_parameters, num_controls);
-      const double rate = by_x.dot(slope) + gradient_[n];
-      const double value = by_x.dot(change) + by_p.dot(direction.p) + by_u.dot(u);
-      const double value_size =
-          by_x.cwiseAbs().dot(size) + by_p.cwiseAbs().dot(direction.p.cwiseAbs()) + by_u.cwiseAbs().dot(u.cwiseAbs());
+      const double rate = RowMap(gradient_.data(), n).dot(slope) + gradient_[n];
+      const auto [value, value_size] = ChangeOf(gradient_.data(), n, direction, 0, 0);
       bool behind = candidate.standing == GuardStatus::kBehind;
       if (!behind && !happened_.empty()) {
         behind = value + rate * now < -kSameChange * (value_size + std::abs(rate) * now_size);
@@ -255,7 +292,9 @@ std::optional<TiedEvents::Outcome> TiedEvents::Follow(const Start& start, Direct
       time = then;
       time_size = behind ? now_size : value_size / std::abs(rate);
     }
-    if (direction.next_control != nullptr && (guard < 0 || (!immediate && direction.jump < time))) {
+    // Where no time passes any more, the motion goes on at rest, before events of a later time.
+    const bool rests = rest >= 0 && !immediate;
+    if (!rests && direction.next_control != nullptr && (guard < 0 || (!immediate && direction.jump < time))) {
       const Vector before = slope;
       at.u = std::exchange(direction.next_control, nullptr);
       u = direction.next_u;
@@ -265,7 +304,7 @@ std::optional<TiedEvents::Outcome> TiedEvents::Follow(const Start& start, Direct
       size += jumps.cwiseAbs() * std::abs(direction.jump);
       continue;
     }
-    if (guard < 0 && rest >= 0) {
+    if (rests) {
       const Vector before = slope;
       at.mode = rest;
       if (!SlopeAt(at, &slope_)) return std::nullopt;
@@ -292,12 +331,7 @@ std::optional<TiedEvents::Outcome> TiedEvents::Follow(const Start& start, Direct
     at.x = x.data();
     const auto side_of = [&](int on, double rate) {
       functions_.GuardGradient(at, on, gradient_.data());
-      const Row by_x(gradient_.data(), rows), by_p(gradient_.data() + rows + 1, num_parameters),
-          by_u(gradient_.data() + rows + 1 + num_parameters, num_controls);
-      const double by_t = gradient_[rows];
-      const double value = by_x.dot(change) + by_t * time + by_p.dot(direction.p) + by_u.dot(u);
-      const double value_size = by_x.cwiseAbs().dot(size) + std::abs(by_t) * time_size +
-                                by_p.cwiseAbs().dot(direction.p.cwiseAbs()) + by_u.cwiseAbs().dot(u.cwiseAbs());
+      const auto [value, value_size] = ChangeOf(gradient_.data(), rows, direction, time, time_size);
       return std::abs(value) > kSameChange * value_size ? value : rate;
     };
     if (!LeaveSwitches(&at, side_of)) return std::nullopt;

@@ -50,6 +50,11 @@ class TiedEvents {
   // end, a reset or a jump that leads to no mode.
   std::optional<Outcome> Follow(const Start& start, Direction direction);
 
+  // Whether the reset of an event jumps along the flow where its guard is zero, so that rounding decides on which side
+  // of the jump it is evaluated: its values just before and just behind the event differ, and do not approach each
+  // other. `duration`: of the motion.
+  bool JumpsAtItsEvent(const ModePoint& event, int guard, double duration) const;
+
   // Whether two states are the same except for the error of an integration.
   static bool SameStates(const double* a, const double* b, int size);
 

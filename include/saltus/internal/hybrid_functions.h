@@ -174,6 +174,8 @@ class HybridFunctions {
   virtual int Reset(const ModePoint& at, int guard, double* x_plus) const = 0;
   // Resets, and sets the derivative by [x t p]: (size of the next mode's state) x (n + 1 + P), room for the largest.
   virtual int ResetJacobian(const ModePoint& at, int guard, double* x_plus, double* jacobian) const = 0;
+  // Whether a reset may have kinks or jumps.
+  virtual bool ResetMayBreak(int /*mode*/, int /*guard*/) const { return !CreatesModes(); }
   // Returns why a reset returns a negative number; with guard -1, why ModeAfterControlJump does.
   virtual std::string ReasonNoMode(const ModePoint& /*at*/, int /*guard*/) const { return ""; }
   // Returns why a reset (-1: the mode in which a motion goes on) has no derivative or one-sided ones; empty if it has.
