@@ -213,6 +213,65 @@ TEST(HybridShooting, RowsAgreeWithDifferences) {
   }
 }
 
+// Masses in a row with springs, of which a force pushes the first: the derivative of the flow has few entries.
+struct Chain {
+  static constexpr int kMasses = 12, kNumControls = 1, kNumParameters = 1;
+  static constexpr std::array kStateSizes = {2 * kMasses};
+  static constexpr std::array kNumGuards = {0};
+  template <typename T>
+  void Flow(int, const T&, const T* x, const T* u, const T* p, T* xdot) const {
+    for (int i = 0; i < kMasses; ++i) {
+      xdot[i] = x[kMasses + i];
+      T force = i == 0 ? u[0] : T(0.0);
+      for (const int other : {i - 1, i + 1}) {
+        if (other < 0 || other == kMasses) continue;
+        const T stretch = x[other] - x[i];
+        force += p[0] * stretch + 0.1 * stretch * stretch * stretch;
+      }
+      xdot[kMasses + i] = force;
+    }
+  }
+  template <typename T>
+  T Guard(int, int, const T&, const T*, const T*) const {
+    return T(1.0);
+  }
+  template <typename T>
+  int Reset(int, int, const T&, const T*, const T*, T*) const {
+    return 0;
+  }
+};
+
+TEST(HybridShooting, RowsOfALargeSystemAgreeWithDifferences) {
+  constexpr int kStates = 2 * Chain::kMasses, kIntervals = 3;
+  HybridProblem problem{.system = HybridSystem(Chain()),
+                        .guess = {.initial = std::vector<double>(kStates, 0.1),
+                                  .parameters = {2.0},
+                                  .duration = 3,
+                                  .num_intervals = kIntervals,
+                                  .control = {1, -0.5, 0.3}}};
+  for (int i = 0; i < kStates; ++i) problem.terms.push_back(MakeTerminalCost(i, 0.0, 1.0, kStates));
+  problem.free = {.control = true, .initial = {0, kStates - 1}, .parameters = {0}, .duration = true};
+  HybridShooting shooting(problem);
+  const int rows = shooting.num_residuals(), columns = shooting.num_variables();
+  ASSERT_EQ(rows, kStates);
+  std::vector<double> z = shooting.initial_guess(), residuals(rows), jacobian(rows * columns);
+  ASSERT_TRUE(shooting.EvaluateResiduals(z, residuals.data(), jacobian.data())) << shooting.FailureReason();
+  for (int j = 0; j < columns; ++j) {
+    constexpr double kWidth = 1e-3;
+    const double at = z[j];
+    std::vector<std::vector<double>> moved;
+    for (const double place : {-2, -1, 1, 2}) {
+      z[j] = at + place * kWidth;
+      ASSERT_TRUE(shooting.EvaluateResiduals(z, moved.emplace_back(rows).data(), nullptr));
+    }
+    z[j] = at;
+    for (int i = 0; i < rows; ++i) {
+      const double difference = (moved[0][i] - 8 * moved[1][i] + 8 * moved[2][i] - moved[3][i]) / (12 * kWidth);
+      EXPECT_NEAR(jacobian[i * columns + j], difference, 1e-8 * std::max(1.0, std::abs(difference))) << i << ' ' << j;
+    }
+  }
+}
+
 // The example of the sensitivity tutorials whose published answer, 0.8666 with loss 0.3995, is a local minimum.
 TEST(HybridSolvers, FindTheRestitutionOfTheTutorial) {
   HybridProblem problem{.system = HybridSystem(BouncingBall()),
