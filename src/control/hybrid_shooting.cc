@@ -22,6 +22,25 @@ using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowM
 // A reverse sweep for a row of the Jacobian takes as long as the forward sweep of so many columns.
 constexpr int kColumnsOfRow = 4;
 
+// The group of a term's residuals: those of equalities come first, then those of inequalities, then those of costs.
+int GroupOf(const HybridTerm& term) {
+  return term.role == HybridTerm::Role::kEquality ? 0 : term.role == HybridTerm::Role::kInequality ? 1 : 2;
+}
+
+bool IsAtEachEvent(const HybridTerm& term) { return term.at == HybridTerm::Timing::kEvent && term.occurrence < 0; }
+
+// A cost at each event has rows for so many events. Those after the last of them share its rows, so that the number of
+// rows does not change with the motion.
+constexpr int kEventsWithRows = 16;
+
+// Adds residuals to their rows: one that is shared holds the root of the sum of the squares.
+void AddResiduals(std::span<const double> residuals, double* rows) {
+  for (const double residual : residuals) {
+    *rows = *rows == 0 ? residual : std::hypot(*rows, residual);
+    ++rows;
+  }
+}
+
 constexpr const char* kWayToEvents = "start from a guess that has them, or solve along a sequence with them";
 
 }  // namespace
@@ -59,17 +78,21 @@ HybridShooting::HybridShooting(const HybridProblem& problem)
 }
 
 bool HybridShooting::HasRows(const HybridTerm& term) const {
-  if (!term.IsCost() || (term.at == HybridTerm::Timing::kEvent && term.occurrence < 0)) return false;
+  if (IsAtEachEvent(term) && !term.IsCost()) return false;
   return !(leaves_out_ && IsOfIntervalAlone(term));
 }
 
 void HybridShooting::CountResiduals() {
-  num_residuals_ = 0;
+  int counts[] = {0, 0, 0};
   for (const HybridTerm& term : problem_.terms) {
     if (!HasRows(term)) continue;
     const bool repeats = term.at == HybridTerm::Timing::kEachInterval && term.interval < 0;
-    num_residuals_ += (repeats ? start_.num_intervals : 1) * term.function->num_residuals();
+    const int times = IsAtEachEvent(term) ? kEventsWithRows : repeats ? start_.num_intervals : 1;
+    counts[GroupOf(term)] += times * term.function->num_residuals();
   }
+  num_equalities_ = counts[0];
+  num_inequalities_ = counts[1];
+  num_residuals_ = counts[0] + counts[1] + counts[2];
 }
 
 bool HybridShooting::IsOfIntervalAlone(const HybridTerm& term) {
@@ -126,14 +149,12 @@ bool HybridShooting::Fail(std::string why) {
 
 bool HybridShooting::FindPlaces() {
   places_.clear();
-  constraint_places_.clear();
-  int rows = 0;
+  int next_rows[] = {0, num_equalities_, num_equalities_ + num_inequalities_};
   const std::vector<double> times = input_.Times();
   const std::vector<HybridEvent>& events = Events();
   const HybridFunctions& functions = problem_.system.functions();
   for (const HybridTerm& term : problem_.terms) {
-    const bool is_cost = term.IsCost();
-    std::vector<Place>& places = is_cost ? places_ : constraint_places_;
+    int& rows = next_rows[GroupOf(term)];
     const int state_size = term.with_state ? term.function->parameter_block_sizes()[0] : 0;
     const int count = term.function->num_residuals();
     if (term.at == HybridTerm::Timing::kEvent) {
@@ -147,14 +168,15 @@ bool HybridShooting::FindPlaces() {
                       " numbers at the event at t = " + std::to_string(events[i].time) + ", expected " +
                       std::to_string(state_size));
         }
-        const int first_row = HasRows(term) ? rows : -1;
-        places.push_back({&term, term.function, -1, static_cast<int>(i), state, events[i].time, 0, first_row});
+        const int before = IsAtEachEvent(term) ? count * std::min(found, kEventsWithRows) - count : 0;
+        const int first_row = HasRows(term) ? rows + before : -1;
+        places_.push_back({&term, term.function, -1, static_cast<int>(i), state, events[i].time, 0, first_row});
       }
       if (term.occurrence >= found) {
         return Fail(term.name + ": found " + std::to_string(found) + " events '" + term.event +
                     "' in the motion, expected at least " + std::to_string(term.occurrence + 1) + "; " + kWayToEvents);
       }
-      if (HasRows(term)) rows += count;
+      if (HasRows(term)) rows += count * (IsAtEachEvent(term) ? kEventsWithRows : 1);
       continue;
     }
     const bool at_end = term.at == HybridTerm::Timing::kEnd;
@@ -172,11 +194,12 @@ bool HybridShooting::FindPlaces() {
       if (counts && fits) {
         const double length = at_end ? 0 : times[k + 1] - times[k];
         const int first_row = HasRows(term) ? rows : -1;
-        places.push_back({&term, CostInMode(term, mode), at_end ? -1 : k, -1, state, times[node], length, first_row});
+        places_.push_back({&term, CostInMode(term, mode), at_end ? -1 : k, -1, state, times[node], length, first_row});
       }
       if (HasRows(term)) rows += count;
     }
   }
+  std::ranges::stable_partition(places_, [](const Place& place) { return place.term->IsCost(); });
   return true;
 }
 
@@ -294,12 +317,10 @@ bool HybridShooting::FailAt(const Place& place) {
 // Says why a derivative is not finite: checks the terms first, then the motion.
 bool HybridShooting::FailAtDerivatives() {
   Values values;
-  for (const std::vector<Place>* places : {&places_, &constraint_places_}) {
-    for (const Place& place : *places) {
-      if (!ValuesAt(place, true, &values)) return FailAt(place);
-      if (std::ranges::all_of(values.jacobians, AllFinite)) continue;
-      return Fail(place.term->name + ": the function has no finite derivative " + DescribePlace(place));
-    }
+  for (const Place& place : places_) {
+    if (!ValuesAt(place, true, &values)) return FailAt(place);
+    if (std::ranges::all_of(values.jacobians, AllFinite)) continue;
+    return Fail(place.term->name + ": the function has no finite derivative " + DescribePlace(place));
   }
   const std::string& why = simulator_.ReasonNotFinite();
   return Fail(why.empty() ? "the derivatives of the loss overflow" : why);
@@ -310,19 +331,17 @@ bool HybridShooting::Simulate(const HybridInput& input, Outcome* outcome) {
   *outcome = {};
   if (!RolloutOf(input)) return false;
   Values values;
-  for (const std::vector<Place>* places : {&places_, &constraint_places_}) {
-    for (const Place& place : *places) {
-      if (!ValuesAt(place, false, &values)) return FailAt(place);
-      for (const double r : values.residuals) {
-        if (place.term->IsCost()) {
-          outcome->loss += place.term->LossOf(r);
-          continue;
-        }
-        const double violation = place.term->role == HybridTerm::Role::kEquality ? std::abs(r) : r;
-        if (!(violation <= outcome->violation)) {
-          outcome->violation = violation;
-          outcome->worst = place.term->name;
-        }
+  for (const Place& place : places_) {
+    if (!ValuesAt(place, false, &values)) return FailAt(place);
+    for (const double r : values.residuals) {
+      if (place.term->IsCost()) {
+        outcome->loss += place.term->LossOf(r);
+        continue;
+      }
+      const double violation = place.term->role == HybridTerm::Role::kEquality ? std::abs(r) : r;
+      if (!(violation <= outcome->violation)) {
+        outcome->violation = violation;
+        outcome->worst = place.term->name;
       }
     }
   }
@@ -332,16 +351,14 @@ bool HybridShooting::Simulate(const HybridInput& input, Outcome* outcome) {
 bool HybridShooting::EvaluateTerms(std::vector<TermAt>* terms) {
   terms->clear();
   Values values;
-  for (const std::vector<Place>* places : {&places_, &constraint_places_}) {
-    for (const Place& place : *places) {
-      if (!ValuesAt(place, true, &values)) return FailAt(place);
-      if (!std::ranges::all_of(values.jacobians, AllFinite)) return FailAtDerivatives();
-      TermAt& at = terms->emplace_back(
-          TermAt{place.term, place.function, place.interval, place.event, values.residuals, values.jacobians, {}});
-      const std::vector<int>& sizes = place.term->function->parameter_block_sizes();
-      const std::vector<const double*> blocks = BlocksOf(place);
-      for (std::size_t i = 0; i < blocks.size(); ++i) at.blocks.emplace_back(blocks[i], blocks[i] + sizes[i]);
-    }
+  for (const Place& place : places_) {
+    if (!ValuesAt(place, true, &values)) return FailAt(place);
+    if (!std::ranges::all_of(values.jacobians, AllFinite)) return FailAtDerivatives();
+    TermAt& at = terms->emplace_back(
+        TermAt{place.term, place.function, place.interval, place.event, values.residuals, values.jacobians, {}});
+    const std::vector<int>& sizes = place.term->function->parameter_block_sizes();
+    const std::vector<const double*> blocks = BlocksOf(place);
+    for (std::size_t i = 0; i < blocks.size(); ++i) at.blocks.emplace_back(blocks[i], blocks[i] + sizes[i]);
   }
   return true;
 }
@@ -430,6 +447,7 @@ bool HybridShooting::Evaluate(std::span<const double> z, double* loss, double* g
   Derivative sum = MakeUndefinedDerivative();
   Values values;
   for (const Place& place : places_) {
+    if (!place.term->IsCost()) continue;
     if (!ValuesAt(place, gradient != nullptr, &values)) return FailAt(place);
     Eigen::RowVectorXd slopes(values.residuals.size());
     for (std::size_t i = 0; i < values.residuals.size(); ++i) {
@@ -453,7 +471,7 @@ bool HybridShooting::EvaluateResiduals(std::span<const double> z, double* residu
   for (const Place& place : places_) {
     if (place.first_row < 0) continue;
     if (!ValuesAt(place, false, &values)) return FailAt(place);
-    std::copy(values.residuals.begin(), values.residuals.end(), residuals + place.first_row);
+    AddResiduals(values.residuals, residuals + place.first_row);
   }
   if (jacobian != nullptr) ResidualJacobian(jacobian);
   return why_.empty();
@@ -484,21 +502,28 @@ void HybridShooting::ResidualJacobian(double* jacobian) {
   if (kColumnsOfRow * rows_of_motion >= columns) motion = simulator_.Sensitivity();
   Eigen::Map<Matrix> out(jacobian, num_residuals_, num_variables());
   out.setZero();
-  Values values;
-  for (const Place& place : places_) {
-    if (place.first_row < 0) continue;
-    if (!ValuesAt(place, true, &values)) {
+  std::vector<Values> values(places_.size());
+  std::vector<double> residuals(num_residuals_, 0.0);
+  for (std::size_t i = 0; i < places_.size(); ++i) {
+    if (places_[i].first_row < 0) continue;
+    if (!ValuesAt(places_[i], true, &values[i])) {
       out.setConstant(std::numeric_limits<double>::quiet_NaN());
-      FailAt(place);
+      FailAt(places_[i]);
       return;
     }
+    AddResiduals(values[i].residuals, &residuals[places_[i].first_row]);
+  }
+  for (std::size_t i = 0; i < places_.size(); ++i) {
+    const Place& place = places_[i];
+    if (place.first_row < 0) continue;
     const bool forward = motion && !(place.event >= 0 && place.term->before);
-    const auto rows = static_cast<Eigen::Index>(values.residuals.size());
+    const auto rows = static_cast<Eigen::Index>(values[i].residuals.size());
     for (Eigen::Index row = 0; row < rows; ++row) {
+      const double own = values[i].residuals[row], all = residuals[place.first_row + row];
       Derivative of_row = MakeUndefinedDerivative();
-      PullBack(place, values, Eigen::RowVectorXd::Unit(rows, row), &of_row);
+      PullBack(place, values[i], (own == all ? 1 : own / all) * Eigen::RowVectorXd::Unit(rows, row), &of_row);
       const HybridGradient by = TotalOf(std::move(of_row), forward ? &*motion : nullptr);
-      for (std::size_t j = 0; j < variables_.size(); ++j) out(place.first_row + row, j) = variables_[j].Access(by);
+      for (std::size_t j = 0; j < variables_.size(); ++j) out(place.first_row + row, j) += variables_[j].Access(by);
     }
   }
   if (!out.allFinite()) FailAtDerivatives();

@@ -47,8 +47,11 @@ class HybridShooting : public ShootingFunction {
   // others.
   bool LeaveOutCostsOfIntervals();
 
-  // Costs at each event have no residuals, because their number changes with the motion.
+  // The residuals of equalities come first, then those of inequalities, and then those of costs. Constraints at each
+  // event have none, because their number changes with the motion.
   int num_residuals() const override { return num_residuals_; }
+  int num_equalities() const { return num_equalities_; }
+  int num_inequalities() const { return num_inequalities_; }
   bool EvaluateResiduals(std::span<const double> z, double* residuals, double* jacobian) override;
   void ResidualJacobian(double* jacobian) override;
 
@@ -159,10 +162,10 @@ class HybridShooting : public ShootingFunction {
   HybridInput start_;  // the guess of the problem; without a control that of zeros
   std::vector<FreeVariable> variables_;
   std::vector<double> guess_;
-  HybridInput input_;  // of the last rollout
-  std::vector<Place> places_, constraint_places_;
-  bool leaves_out_ = false;  // the residuals of costs of intervals alone
-  int num_residuals_ = 0;
+  HybridInput input_;          // of the last rollout
+  std::vector<Place> places_;  // of costs, and then of constraints
+  bool leaves_out_ = false;    // the residuals of costs of intervals alone
+  int num_residuals_ = 0, num_equalities_ = 0, num_inequalities_ = 0;
   std::string why_;
   int num_adjoints_ = 0;
 };

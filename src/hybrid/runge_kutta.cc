@@ -150,13 +150,30 @@ void RungeKutta::PullBack(const FlowStep& step, const double* after, StepCotange
   });
 }
 
+namespace {
+
+// Returns the product of the derivative of a flow with that of a state. In large systems a state depends on few others.
+RungeKutta::Matrix Product(const Eigen::Ref<const RungeKutta::Matrix>& flow, const RungeKutta::Matrix& x) {
+  constexpr Eigen::Index kLarge = 16, kFew = 8;  // states; one of so many entries that is not zero
+  if (flow.rows() < kLarge || kFew * (flow.array() != 0).count() > flow.size()) return flow * x;
+  RungeKutta::Matrix out = RungeKutta::Matrix::Zero(flow.rows(), x.cols());
+  for (Eigen::Index row = 0; row < flow.rows(); ++row) {
+    for (Eigen::Index column = 0; column < flow.cols(); ++column) {
+      if (flow(row, column) != 0) out.row(row) += flow(row, column) * x.row(column);
+    }
+  }
+  return out;
+}
+
+}  // namespace
+
 RungeKutta::Matrix RungeKutta::PushForward(const Tangent& in) const {
   const int n = size_;
   std::array<Matrix, kStages> total;  // (k_i dh + h dk_i)
   // The derivative by what a stage, or the closed form, depends on.
   const auto multiply = [&](int stage, const Matrix& x, const Eigen::RowVectorXd& t) {
     const ConstMatrixMap jacobian = JacobianOfStage(stage);
-    Matrix out = jacobian.leftCols(n) * x;
+    Matrix out = Product(jacobian.leftCols(n), x);
     // A direction in which a variable does not change takes nothing from the derivative by it, even an infinite one.
     const auto add = [&](int column, const auto& change) {
       for (Eigen::Index direction = 0; direction < change.size(); ++direction) {

@@ -889,13 +889,13 @@ class HybridConditions {
         if (source.before == before && source.state.size() > 0) *costate += source.state;
       }
     };
+    const VectorXd costate_behind = *costate;  // of the motion that goes on, without the terms at the event
     add(false);
     VectorXd after(functions_.most_states());
     Matrix reset(functions_.most_states(), columns);
     const ModePoint at{event.mode, event.time, event.before.data(), control, input_.parameters.data()};
     functions_.ResetJacobian(at, event.guard, after.data(), reset.data());
-    const VectorXd costate_after = *costate;
-    if (costates != nullptr) costates->of_events[k] = costate_after;
+    if (costates != nullptr) costates->of_events[k] = *costate;
     const Eigen::RowVectorXd by = costate->transpose() * reset.topRows(costate->size());
     VectorXd before = by.head(n).transpose();
     double by_time = by[n];
@@ -920,10 +920,10 @@ class HybridConditions {
     by_time += own_time;
     // Returns H before less H after, for the event alone with the same control u on both sides.
     const auto one_sided = [&](const double* u) {
-      VectorXd in(n), out(costate_after.size());
+      VectorXd in(n), out(costate_behind.size());
       functions_.Flow({event.mode, event.time, event.before.data(), u, at.p}, in.data());
       functions_.Flow({event.next_mode, event.time, event.after.data(), u, at.p}, out.data());
-      return by_time + costate->dot(in) - costate_after.dot(out);
+      return by_time + costate->dot(in) - costate_behind.dot(out);
     };
     sweep->event_early[k] = one_sided(ControlOf(interval_before_[k]));
     sweep->event_late[k] = one_sided(ControlOf(interval_after_[k]));

@@ -116,9 +116,11 @@ SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::v
     chain.Add(report);
     return report;
   };
+  const auto share_of = [&](std::string_view name, const std::vector<std::string_view>& names) {
+    return name == names.back() ? left : std::min(left, std::max(kLeastShare, left / 2));
+  };
   for (const std::string_view name : order) {
-    const int share = name == order.back() ? left : std::min(left, std::max(kLeastShare, left / 2));
-    SolveReport report = solve_within(name, share, /*from=*/nullptr);
+    SolveReport report = solve_within(name, share_of(name, order), /*from=*/nullptr);
     if (report.termination == Termination::kNotApplicable) {
       if (!refused) {
         refused = std::move(report);
@@ -154,13 +156,14 @@ SolveReport SolveInTurn(const std::vector<std::string_view>& order, const std::v
   };
   for (const std::string_view name : refine) {
     if (is_over()) break;
-    SolveReport report = solve_within(name, left, &*best);
+    SolveReport report = solve_within(name, share_of(name, refine), &*best);
     if (report.termination == Termination::kNotApplicable) continue;
     tried += ", then " + std::string(name) + " from the end of " + best->solver;
     const bool interrupted = report.termination == Termination::kInterrupted;
     if (IsBetter(report, *best)) best = std::move(report);
     if (interrupted) best->termination = Termination::kInterrupted;
   }
+  if (best->termination == Termination::kNoProgress && left <= 0) best->termination = Termination::kIterationLimit;
   const bool tells = refused && refused->reason != why;
   std::string words = "auto used " + best->solver + ", as " + why;
   if (tried != best->solver) words += " (tried: " + tried + ")";

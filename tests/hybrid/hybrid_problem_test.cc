@@ -5,6 +5,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
 #include <cstdint>
 #include <limits>
@@ -103,18 +104,13 @@ TEST(HybridShooting, GradientAgreesWithDifferences) {
   }
 }
 
-// 2 J' r is the gradient, of all that is no cost at each event.
-TEST(HybridShooting, ResidualsAgreeWithTheLoss) {
-  HybridProblem problem = BallWithAllKindsOfTerms();
-  for (HybridTerm& term : problem.terms) {
-    if (term.at == HybridTerm::Timing::kEvent) term.occurrence = term.before ? 0 : 1;
-  }
-  HybridShooting shooting(problem);
+// Expects that the sum of the squares of the residuals is the loss, and 2 J' r its gradient.
+void ExpectResidualsOfTheLoss(HybridShooting* given) {
+  HybridShooting& shooting = *given;
   const int rows = shooting.num_residuals(), columns = shooting.num_variables();
-  EXPECT_EQ(rows, 1 + 1 + 7 + 1 + 2 + 2 + 7);
   std::vector<double> residuals(rows), jacobian(rows * columns), gradient(columns);
   double loss = 0;
-  ASSERT_TRUE(shooting.Evaluate(shooting.initial_guess(), &loss, gradient.data()));
+  ASSERT_TRUE(shooting.Evaluate(shooting.initial_guess(), &loss, gradient.data())) << shooting.FailureReason();
   ASSERT_TRUE(shooting.EvaluateResiduals(shooting.initial_guess(), residuals.data(), jacobian.data()));
   EXPECT_NEAR(std::inner_product(residuals.begin(), residuals.end(), residuals.begin(), 0.0), loss, 1e-12 * loss);
   for (int j = 0; j < columns; ++j) {
@@ -122,6 +118,31 @@ TEST(HybridShooting, ResidualsAgreeWithTheLoss) {
     for (int i = 0; i < rows; ++i) sum += 2 * residuals[i] * jacobian[i * columns + j];
     EXPECT_NEAR(sum, gradient[j], 1e-11 * std::max(1.0, std::abs(sum))) << j;
   }
+}
+
+TEST(HybridShooting, ResidualsAgreeWithTheLoss) {
+  HybridProblem problem = BallWithAllKindsOfTerms();
+  for (HybridTerm& term : problem.terms) {
+    if (term.at == HybridTerm::Timing::kEvent) term.occurrence = term.before ? 0 : 1;
+  }
+  HybridShooting shooting(problem);
+  EXPECT_EQ(shooting.num_residuals(), 1 + 1 + 7 + 1 + 2 + 2 + 7);
+  ExpectResidualsOfTheLoss(&shooting);
+}
+
+// Also where there are more events than rows for them.
+TEST(HybridShooting, ResidualsOfCostsAtEachEventAgreeWithTheLoss) {
+  HybridProblem problem = BallWithAllKindsOfTerms();
+  HybridShooting few(problem);
+  ExpectResidualsOfTheLoss(&few);
+  EXPECT_EQ(few.simulator().events().size(), 2u);
+  problem.guess.parameters[1] = 0.95;
+  problem.guess.duration = 14;
+  problem.guess.control.assign(7, 0.1);
+  HybridShooting many(problem);
+  ExpectResidualsOfTheLoss(&many);
+  EXPECT_GT(many.simulator().events().size(), 17u);
+  EXPECT_EQ(many.num_residuals(), few.num_residuals()) << "their number does not change with the motion";
 }
 
 // A ball that six forces push, which act at weights that the height changes.
@@ -176,6 +197,65 @@ TEST(HybridShooting, RowsAgreeWithDifferences) {
   std::vector<double> z = shooting.initial_guess(), residuals(rows), jacobian(rows * columns);
   ASSERT_TRUE(shooting.EvaluateResiduals(z, residuals.data(), jacobian.data())) << shooting.FailureReason();
   EXPECT_EQ(shooting.simulator().events().size(), 1u);
+  for (int j = 0; j < columns; ++j) {
+    constexpr double kWidth = 1e-3;
+    const double at = z[j];
+    std::vector<std::vector<double>> moved;
+    for (const double place : {-2, -1, 1, 2}) {
+      z[j] = at + place * kWidth;
+      ASSERT_TRUE(shooting.EvaluateResiduals(z, moved.emplace_back(rows).data(), nullptr));
+    }
+    z[j] = at;
+    for (int i = 0; i < rows; ++i) {
+      const double difference = (moved[0][i] - 8 * moved[1][i] + 8 * moved[2][i] - moved[3][i]) / (12 * kWidth);
+      EXPECT_NEAR(jacobian[i * columns + j], difference, 1e-8 * std::max(1.0, std::abs(difference))) << i << ' ' << j;
+    }
+  }
+}
+
+// Masses in a row with springs, of which a force pushes the first: the derivative of the flow has few entries.
+struct Chain {
+  static constexpr int kMasses = 12, kNumControls = 1, kNumParameters = 1;
+  static constexpr std::array kStateSizes = {2 * kMasses};
+  static constexpr std::array kNumGuards = {0};
+  template <typename T>
+  void Flow(int, const T&, const T* x, const T* u, const T* p, T* xdot) const {
+    for (int i = 0; i < kMasses; ++i) {
+      xdot[i] = x[kMasses + i];
+      T force = i == 0 ? u[0] : T(0.0);
+      for (const int other : {i - 1, i + 1}) {
+        if (other < 0 || other == kMasses) continue;
+        const T stretch = x[other] - x[i];
+        force += p[0] * stretch + 0.1 * stretch * stretch * stretch;
+      }
+      xdot[kMasses + i] = force;
+    }
+  }
+  template <typename T>
+  T Guard(int, int, const T&, const T*, const T*) const {
+    return T(1.0);
+  }
+  template <typename T>
+  int Reset(int, int, const T&, const T*, const T*, T*) const {
+    return 0;
+  }
+};
+
+TEST(HybridShooting, RowsOfALargeSystemAgreeWithDifferences) {
+  constexpr int kStates = 2 * Chain::kMasses, kIntervals = 3;
+  HybridProblem problem{.system = HybridSystem(Chain()),
+                        .guess = {.initial = std::vector<double>(kStates, 0.1),
+                                  .parameters = {2.0},
+                                  .duration = 3,
+                                  .num_intervals = kIntervals,
+                                  .control = {1, -0.5, 0.3}}};
+  for (int i = 0; i < kStates; ++i) problem.terms.push_back(MakeTerminalCost(i, 0.0, 1.0, kStates));
+  problem.free = {.control = true, .initial = {0, kStates - 1}, .parameters = {0}, .duration = true};
+  HybridShooting shooting(problem);
+  const int rows = shooting.num_residuals(), columns = shooting.num_variables();
+  ASSERT_EQ(rows, kStates);
+  std::vector<double> z = shooting.initial_guess(), residuals(rows), jacobian(rows * columns);
+  ASSERT_TRUE(shooting.EvaluateResiduals(z, residuals.data(), jacobian.data())) << shooting.FailureReason();
   for (int j = 0; j < columns; ++j) {
     constexpr double kWidth = 1e-3;
     const double at = z[j];
@@ -322,9 +402,109 @@ TEST(HybridSolvers, ReportAMotionAndItsLossWheneverTheyAreStopped) {
   }
 }
 
+// A ball that a force pushes: how fast it strikes the ground each time.
+struct SpeedAtGround {
+  template <typename T>
+  bool operator()(const T* x, T* residual) const {
+    residual[0] = 0.5 * (x[1] - 2.0);
+    return true;
+  }
+};
+
+// Levenberg-Marquardt has a row for each event, and ends where solvers that see the sum alone end. With intervals that
+// move with the events the optimum is lower. No certificate denies any of them.
+TEST(HybridSolvers, TakeCostsAtEachEvent) {
+  HybridProblem problem{.system = HybridSystem(BouncingBall()),
+                        .guess = {.initial = {1, 0},
+                                  .parameters = {9.81, 0.8},
+                                  .duration = 1.45,
+                                  .num_intervals = 8,
+                                  .control = std::vector<double>(8, 0.1)},
+                        .terms = {MakeEffortCost(0.1, 1), MakeTerminalCost(1, 0.0, 0.1, 2)}};
+  HybridTerm speed{.name = "speed", .at = HybridTerm::Timing::kEvent, .mode = 0, .event = "ground", .with_state = true};
+  speed.function = std::make_shared<ceres::AutoDiffCostFunction<SpeedAtGround, 1, 2>>(new SpeedAtGround);
+  problem.terms.push_back(speed);
+  problem.free.control = true;
+  const SolveReport least_squares = Solve("ceres_lm", problem, {}), gradient = Solve("ceres_lbfgs", problem, {});
+  ASSERT_EQ(least_squares.termination, Termination::kConverged) << least_squares.reason;
+  ASSERT_EQ(gradient.termination, Termination::kConverged) << gradient.reason;
+  EXPECT_NEAR(least_squares.solution.loss, gradient.solution.loss, 1e-9 * gradient.solution.loss);
+  EXPECT_LT(least_squares.solution.loss, 0.9 * least_squares.guess.loss);
+  ASSERT_TRUE(least_squares.certificate);
+  EXPECT_TRUE(least_squares.certificate->IsStationary()) << least_squares.certificate->reason;
+  const SolveReport phases = Solve("ceres_phases", problem, {});
+  ASSERT_EQ(phases.termination, Termination::kConverged) << phases.reason;
+  EXPECT_LT(phases.solution.loss, least_squares.solution.loss);
+  EXPECT_EQ(phases.certificate->verdict, Certificate::Verdict::kStationary) << phases.certificate->reason;
+}
+
+// A force that brings a mass back to where it began, by -1 of its speed, and not above a height: the optimum of Bryson
+// and Denham in the form of squares, whose loss in continuous time is 4 / (9 L).
+struct AboveHeight {
+  template <typename T>
+  bool operator()(const T* x, T* row) const {
+    row[0] = x[0] - 1.0 / 9;
+    return true;
+  }
+};
+struct DoubleIntegrator {
+  static constexpr int kNumControls = 1, kNumParameters = 1;
+  static constexpr std::array kStateSizes = {2};
+  static constexpr std::array kNumGuards = {0};
+  template <typename T>
+  void Flow(int, const T&, const T* x, const T* u, const T*, T* xdot) const {
+    xdot[0] = x[1];
+    xdot[1] = u[0];
+  }
+  template <typename T>
+  T Guard(int, int, const T&, const T*, const T*) const {
+    return T(1.0);
+  }
+  template <typename T>
+  int Reset(int, int, const T&, const T*, const T*, T*) const {
+    return 0;
+  }
+};
+
+TEST(HybridSolvers, ShootingMeetsConstraints) {
+  constexpr int kIntervals = 40;
+  HybridProblem problem{
+      .system = HybridSystem(DoubleIntegrator()),
+      .guess = {.initial = {0, 1},
+                .parameters = {0},
+                .duration = 1,
+                .num_intervals = kIntervals,
+                .control = std::vector<double>(kIntervals, 0.0)},
+      .terms = {MakeEffortCost(0.5, 1),
+                MakeTerminalCost(0, 0.0, 1.0, 2),
+                MakeTerminalCost(1, -1.0, 1.0, 2),
+                {.name = "height",
+                 .at = HybridTerm::Timing::kEachInterval,
+                 .role = HybridTerm::Role::kInequality,
+                 .with_state = true,
+                 .function = std::make_shared<ceres::AutoDiffCostFunction<AboveHeight, 1, 2>>(new AboveHeight)}}};
+  problem.terms[1].role = problem.terms[2].role = HybridTerm::Role::kEquality;
+  problem.free.control = true;
+  for (const double most : {1e3, 7.5}) {  // a bound on the control, too, that is active
+    problem.free.control_min = {-most};
+    problem.free.control_max = {most};
+    const SolveReport shooting = Solve("ceres_lm", problem, {}), phases = Solve("ceres_phases", problem, {});
+    ASSERT_EQ(shooting.termination, Termination::kConverged) << shooting.reason;
+    ASSERT_EQ(phases.termination, Termination::kConverged) << phases.reason;
+    EXPECT_GT(shooting.guess.violation, 0.5);
+    EXPECT_LE(shooting.solution.violation, 1e-9);
+    EXPECT_NEAR(shooting.solution.loss, phases.solution.loss, 1e-8 * phases.solution.loss);
+    EXPECT_NEAR(shooting.solution.loss, 4, 0.2);
+    ASSERT_TRUE(shooting.certificate);
+    EXPECT_EQ(shooting.certificate->verdict, Certificate::Verdict::kStationary) << shooting.certificate->reason;
+  }
+}
+
 TEST(HybridSolvers, SayWhatTheyCannotTake) {
   HybridProblem problem = BallWithAllKindsOfTerms();
-  EXPECT_THAT(Solve("ceres_lm", problem, {}).reason, HasSubstr("events is evaluated at each event"));
+  problem.terms[4].role = HybridTerm::Role::kEquality;
+  EXPECT_THAT(Solve("ceres_lm", problem, {}).reason, HasSubstr("events is a constraint at each event"));
+  problem.terms[4].role = HybridTerm::Role::kCost;
   EXPECT_THAT(Solve("newton", problem, {}).reason, HasSubstr("solver: found 'newton', expected a solver"));
   problem.free.parameters_min = {0.1, 9};
   EXPECT_THAT(Solve("ceres_lbfgs", problem, {}).reason, HasSubstr("bounds"));

@@ -103,6 +103,71 @@ TEST(ClosedContacts, OptimumOfASlidingMassIsThatOfItsLinearProblem) {
   EXPECT_NEAR(report.certificate->curvature->smallest, 1, 1e-6) << "of directions that do not change x(T)";
 }
 
+// Two masses on a line without friction, of which a force moves the second only: the first moves where the second
+// strikes it.
+struct TwoMasses {
+  static constexpr int kNumCoordinates = 2, kNumControls = 1, kNumParameters = 1, kNumContacts = 1;
+  template <typename T>
+  void Mass(const T*, const T*, T* M) const {
+    M[0] = M[3] = T(1.0);
+    M[1] = M[2] = T(0.0);
+  }
+  template <typename T>
+  void Force(const T&, const T*, const T*, const T* u, const T*, T* h) const {
+    h[0] = T(0.0);
+    h[1] = u[0];
+  }
+  template <typename T>
+  T Gap(int, const T* q, const T*) const {
+    return q[1] - q[0] - 2.0;
+  }
+  template <typename T>
+  T Slide(int, const T*, const T*) const {
+    return T(0.0);
+  }
+  template <typename T>
+  T Friction(int, const T*) const {
+    return T(0.0);
+  }
+  template <typename T>
+  T Restitution(int, const T* p) const {
+    return p[0];
+  }
+};
+
+// From a guess without an impact no small force moves the first mass towards its target: no solver that changes the
+// force by little has found an optimum there. A search finds that of a guess with the impact.
+TEST(ClosedContacts, AMassThatNothingTouchesIsReachedByASearch) {
+  constexpr int kIntervals = 10;
+  const MechanicalSystem system{TwoMasses()};
+  HybridProblem problem{.system = system.hybrid(),
+                        .guess = {.initial = {-3, 0, 0, 0},
+                                  .parameters = {0.5},
+                                  .duration = 3,
+                                  .num_intervals = kIntervals,
+                                  .control = std::vector<double>(kIntervals, 0.0)},
+                        .terms = {MakeTerminalCost(0, -6.0, 10.0, 4),
+                                  MakeTerminalCost(1, 0.0, 10.0, 4),
+                                  MakeTerminalCost(3, 0.0, 1.0, 4),
+                                  MakeEffortCost(0.1, 1)}};
+  problem.guess.mode = system.FindMode(problem.guess.initial, std::vector<double>{0}, problem.guess.parameters).mode;
+  problem.free = {.control = true, .control_min = {-30}, .control_max = {30}};
+  for (const char* solver : {"ceres_lm", "ceres_phases", "ipopt"}) {
+    const SolveReport stays = Solve(solver, problem, {});
+    if (stays.termination == Termination::kNotApplicable) continue;  // built without IPOPT
+    EXPECT_EQ(stays.termination, Termination::kNoProgress) << solver;
+    EXPECT_THAT(stays.reason, HasSubstr("but no small change of the control changes x[0] at the end")) << solver;
+    EXPECT_THAT(stays.reason, HasSubstr("mode_search")) << solver;
+  }
+  const SolveReport found = Solve("auto", problem, {.sequences = {.limits = {.work = 2e5, .starts = 4}}});
+  ASSERT_EQ(found.termination, Termination::kConverged) << found.reason;
+  for (int k = 0; k < kIntervals; ++k) problem.guess.control[k] = k < 3 ? -10 : k < 6 ? 10 : 0;
+  const SolveReport touching = Solve("ceres_phases", problem, {});
+  ASSERT_EQ(touching.termination, Termination::kConverged) << touching.reason;
+  EXPECT_LE(found.solution.loss, (1 + 1e-9) * touching.solution.loss);
+  EXPECT_LT(found.solution.loss, 0.2 * found.guess.loss);
+}
+
 // A mass at rest, which no small force moves: a search pulls it, and reaches the optimum of a mass that slides all
 // along.
 TEST(ClosedContacts, AMassThatSticksIsPulledByASearch) {

@@ -232,7 +232,7 @@ TEST(OwnTerms, WrongOnesAreRefusedByName) {
   EXPECT_THAT(reason_of(term), HasSubstr("aim"));
   term.with_length = false;
   term.role = HybridTerm::Role::kEquality;
-  EXPECT_THAT(reason_of(term, "ceres_lm"), HasSubstr("aim is a constraint"));
+  EXPECT_THAT(reason_of(term, "ceres_lbfgs"), HasSubstr("aim is a constraint"));
   term.function = nullptr;
   EXPECT_THAT(reason_of(term), HasSubstr("aim"));
 }

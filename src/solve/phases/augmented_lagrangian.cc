@@ -482,4 +482,11 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
   return result;
 }
 
+Termination TerminationOf(const AugmentedLagrangian::Summary& summary, int iterations) {
+  if (!summary.usable) return Termination::kFailed;
+  if (summary.interrupted) return Termination::kInterrupted;
+  if (summary.converged) return Termination::kConverged;
+  return summary.iterations >= iterations ? Termination::kIterationLimit : Termination::kNoProgress;
+}
+
 }  // namespace saltus

@@ -23,6 +23,8 @@
 #include <memory>
 #include <vector>
 
+#include "saltus/solve/solver.h"
+
 namespace saltus {
 
 // The roles of the rows of a function, in this order: equalities, inequalities, costs that are values, and then costs
@@ -128,5 +130,8 @@ class AugmentedLagrangian {
   ceres::Problem problem_;
   std::vector<std::pair<Weighted*, std::vector<double*>>> functions_;
 };
+
+// The termination of a solver that has ended so, of so many iterations.
+Termination TerminationOf(const AugmentedLagrangian::Summary& summary, int iterations);
 
 }  // namespace saltus

@@ -74,17 +74,8 @@ SolveReport SolveByCeresLagrangian(const SolveRequest& request, const SolverOpti
   };
   const AugmentedLagrangian::Summary summary = problem.Minimize(rounds);
 
-  Termination termination = Termination::kNoProgress;
+  Termination termination = finite ? TerminationOf(summary, options.limits.iterations) : Termination::kFailed;
   std::string reason;
-  if (!finite || !summary.usable) {
-    termination = Termination::kFailed;
-  } else if (summary.interrupted) {
-    termination = Termination::kInterrupted;
-  } else if (summary.converged) {
-    termination = Termination::kConverged;
-  } else if (summary.iterations >= options.limits.iterations) {
-    termination = Termination::kIterationLimit;
-  }
   if (open > rounds.tolerance) {
     reason = DefectsOpen(open);
   } else if (termination == Termination::kConverged &&

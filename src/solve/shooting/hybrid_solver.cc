@@ -103,11 +103,17 @@ class HybridRun final : public ShootingRun {
   HybridShooting shooting_;
 };
 
+std::string UnsupportedByAllSolvers(const HybridProblem& problem) {
+  return problem.free.IsEmpty() ? "the problem leaves nothing to optimize: name what is free" : "";
+}
+
 std::string UnsupportedByShooting(const HybridProblem& problem) {
   for (const HybridTerm& term : problem.terms) {
-    if (!term.IsCost()) return term.name + " is a constraint, which takes multipliers: use ceres_phases or ipopt";
+    if (!term.IsCost()) {
+      return term.name + " is a constraint, which takes multipliers: use ceres_lm, ceres_phases or ipopt";
+    }
   }
-  return problem.free.IsEmpty() ? "the problem leaves nothing to optimize: name what is free" : "";
+  return UnsupportedByAllSolvers(problem);
 }
 
 bool IsBounded(const HybridFree& free) {
@@ -131,11 +137,12 @@ std::string UnsupportedByLm(const HybridProblem& problem) {
     if (term.role == HybridTerm::Role::kValue) {
       return term.name + " is a cost that is no square: least squares needs squares";
     }
-    if (term.at == HybridTerm::Timing::kEvent && term.occurrence < 0) {
-      return term.name + " is evaluated at each event: least squares requires a number of residuals that is fixed";
+    if (term.at == HybridTerm::Timing::kEvent && term.occurrence < 0 && !term.IsCost()) {
+      return term.name +
+             " is a constraint at each event, whose number changes with the motion: use ceres_phases or ipopt";
     }
   }
-  return UnsupportedByShooting(problem);
+  return UnsupportedByAllSolvers(problem);
 }
 
 // Returns a report whose solver can lower the loss no more, as converged if the certificate proves an optimum: steps
@@ -251,10 +258,23 @@ void AddCostsOfIntervals(const HybridProblem& problem, const VariableBlocks& var
   }
 }
 
+// Minimises with constraints, and reports by how much they are violated.
+SolveReport MinimizeWithConstraints(HybridRun* run,
+                                    const std::function<void(const VariableBlocks&, ceres::Problem*)>& set_bounds) {
+  HybridShooting& shooting = run->shooting();
+  const RowRoles roles{.equalities = shooting.num_equalities(), .inequalities = shooting.num_inequalities()};
+  HybridShooting::Outcome at_guess, at_end;
+  shooting.Simulate(shooting.InputAt(run->initial_guess()), &at_guess);
+  SolveReport report = MinimizeWithConstraints(run, run->initial_guess(), roles, set_bounds);
+  shooting.Simulate(SolutionOf(shooting.problem(), report), &at_end);
+  report.guess.violation = at_guess.violation;
+  report.solution.violation = at_end.violation;
+  return report;
+}
+
 SolveReport SolveByLm(const HybridProblem& problem, const SolverOptions& options) {
   HybridRun run("ceres_lm", problem, options);
   HybridShooting& shooting = run.shooting();
-  const bool apart = problem.free.control && shooting.LeaveOutCostsOfIntervals();
   const auto set_bounds = [&](const VariableBlocks& variables, ceres::Problem* ceres) {
     std::size_t at = 0;
     for (std::size_t block = 0; block < variables.sizes.size(); ++block) {
@@ -264,10 +284,17 @@ SolveReport SolveByLm(const HybridProblem& problem, const SolverOptions& options
         if (std::isfinite(max)) ceres->SetParameterUpperBound(variables.blocks[block], i, max);
       }
     }
+  };
+  if (shooting.num_equalities() + shooting.num_inequalities() > 0) {
+    return AcceptOptimum(problem, MinimizeWithConstraints(&run, set_bounds));
+  }
+  const bool apart = problem.free.control && shooting.LeaveOutCostsOfIntervals();
+  const auto add_terms = [&](const VariableBlocks& variables, ceres::Problem* ceres) {
+    set_bounds(variables, ceres);
     if (apart) AddCostsOfIntervals(problem, variables, ceres);
   };
-  return AcceptOptimum(
-      problem, MinimizeLeastSquares(&run, run.initial_guess(), problem.free.duration, /*offset=*/0, set_bounds));
+  return AcceptOptimum(problem,
+                       MinimizeLeastSquares(&run, run.initial_guess(), problem.free.duration, /*offset=*/0, add_terms));
 }
 
 // Whether no motion of the system has events.
@@ -361,33 +388,33 @@ void JudgeSquaresOfZero(const HybridProblem& problem, SolveReport* report) {
       "apply";
 }
 
-// Certifies a run that has converged, and takes back what its certificate contradicts. Returns whether the loss depends
-// on something that the variables do not change.
-bool JudgeSolution(const HybridProblem& problem, SolveReport* report) {
-  if (report->termination != Termination::kConverged) return false;
+// Certifies a run that has converged, and takes back what its certificate contradicts. Where modes are created, a state
+// that no small change of the control changes is one that contacts would move: a solver that tries no larger changes
+// has found no optimum there.
+void JudgeSolution(const HybridProblem& problem, SolveReport* report) {
+  if (report->termination != Termination::kConverged) return;
   if (!report->certificate) report->certificate = Certify(problem, SolutionOf(problem, *report));
   JudgeSquaresOfZero(problem, report);
   JudgeByCertificate(report);
-  if (report->termination != Termination::kConverged) return false;
+  if (report->termination != Termination::kConverged) return;
   const OutOfReach out = FindOutOfReach(problem, SolutionOf(problem, *report));
-  if (out.states.empty() && !out.motion) return false;
+  if (out.states.empty() && !out.motion) return;
+  const bool searches = report->solver == "mode_search";
   const std::string larger = std::string(": start from a control that does") +
-                             (report->solver == "mode_search" ? "" : ", or use mode_search, which tries larger ones");
-  if (out.motion) report->termination = Termination::kNoProgress;
+                             (searches ? "" : ", or use mode_search, which tries larger ones");
+  const bool converged = !out.motion && (searches || !problem.system.functions().CreatesModes());
+  if (!converged) report->termination = Termination::kNoProgress;
   report->reason +=
-      (report->reason.empty() ? "" : "; ") +
+      (report->reason.empty() ? ""
+       : converged            ? "; "
+                              : ", but ") +
       (!problem.free.control ? "no small change of what is optimized changes the motion: start from values "
                                "that do, or bound them there"
        : out.motion          ? "no small change of the control changes the motion, as where all contacts stick" + larger
                              : "no small change of the control changes " + Joined(out.states) + " at the end" + larger);
-  return true;
 }
 
 // ---------------------------------------------------------------------------------------------------------------- auto
-
-std::string UnsupportedByAllSolvers(const HybridProblem& problem) {
-  return problem.free.IsEmpty() ? "the problem leaves nothing to optimize: name what is free" : "";
-}
 
 // Returns the reason why Gauss-Newton steps miss an important part of the curvature; empty if they do not.
 std::string UnsupportedByGaussNewton(const HybridProblem& problem) {
@@ -441,11 +468,14 @@ SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions
     }
     order.push_back("mode_search");
   }
+  const bool constrained = !std::ranges::all_of(problem.terms, &HybridTerm::IsCost);
   const auto solve = [&](std::string_view name, const SolverOptions& of_solve, const SolveReport* from) {
     const HybridSolverEntry& entry = *std::ranges::find(HybridSolvers(), name, &HybridSolverEntry::name);
     SolveReport report;
     report.termination = Termination::kNotApplicable;
-    report.reason = entry.reason_not_applicable(problem);
+    // With constraints, shooting has found no optimum that phases have not.
+    report.reason =
+        name == "ceres_lm" && constrained ? UnsupportedByShooting(problem) : entry.reason_not_applicable(problem);
     if (!report.reason.empty()) return report;
     HybridProblem start = problem;
     if (from != nullptr) {
@@ -453,8 +483,7 @@ SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions
       start.guess_states.clear();
     }
     report = SolveBy(entry, start, of_solve);
-    const bool searches = system.functions().CreatesModes() && name != "mode_search";
-    if (JudgeSolution(problem, &report) && searches) report.termination = Termination::kNoProgress;
+    JudgeSolution(problem, &report);
     return report;
   };
   // Shooting comes first: it never leaves the motions of the system, of which the best is one.

@@ -13,6 +13,7 @@
 #include <optional>
 #include <span>
 
+#include "base/number_text.h"
 #include "base/statistics.h"
 #include "control/control_bounds.h"
 #include "control/phase_costs.h"
@@ -182,8 +183,9 @@ class Loss final : public ceres::FirstOrderFunction {
   ShootingFunction* shooting_;
 };
 
-constexpr int kBlockSize = 8;        // variables
-constexpr int kMostInOneBlock = 16;  // up to here a dense factorization is cheaper than conjugate gradients
+constexpr double kWeightOfCosts = 1;  // of constraints beside the costs ahead, in the first solve
+constexpr int kBlockSize = 8;         // variables
+constexpr int kMostInOneBlock = 16;   // up to here a dense factorization is cheaper than conjugate gradients
 
 // The variables, cut into blocks, some of which may be smaller; the last `num_own` have blocks of their own.
 std::vector<int> BlockSizes(int num_variables, int num_own) {
@@ -228,11 +230,14 @@ class ScaledEffortCost final : public ceres::CostFunction {
 // The residuals of all terms but the effort, as one vector, as a function of all variables.
 class ShootingCost final : public ceres::CostFunction {
  public:
-  ShootingCost(ShootingFunction* shooting, const std::vector<int>& block_sizes)
+  // The rows from `first_cost` on are divided by the root of a loss.
+  ShootingCost(ShootingFunction* shooting, const std::vector<int>& block_sizes, int first_cost = 0, double loss = 1)
       : shooting_(shooting),
+        scale_(Eigen::VectorXd::Ones(shooting->num_residuals())),
         z_(shooting->num_variables()),
         residuals_(shooting->num_residuals()),
         jacobian_(residuals_.size() * z_.size()) {
+    scale_.tail(scale_.size() - first_cost).setConstant(1 / std::sqrt(loss));
     set_num_residuals(static_cast<int>(residuals_.size()));
     *mutable_parameter_block_sizes() = block_sizes;
   }
@@ -240,7 +245,7 @@ class ShootingCost final : public ceres::CostFunction {
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
     Rollout(parameters);
     if (!finite_) return false;
-    std::copy(residuals_.begin(), residuals_.end(), residuals);
+    for (int row = 0; row < num_residuals(); ++row) residuals[row] = scale_[row] * residuals_[row];
     return (jacobians == nullptr || EvaluateJacobians(jacobians)) && !shooting_->stopped();
   }
 
@@ -275,7 +280,8 @@ class ShootingCost final : public ceres::CostFunction {
     for (size_t i = 0; i < parameter_block_sizes().size(); ++i) {
       const int size = parameter_block_sizes()[i];
       for (int row = 0; jacobians[i] != nullptr && row < num_residuals(); ++row) {
-        std::copy_n(&jacobian_[row * z_.size() + first], size, jacobians[i] + row * size);
+        const double* entry = &jacobian_[row * z_.size() + first];
+        for (int k = 0; k < size; ++k) jacobians[i][row * size + k] = scale_[row] * entry[k];
       }
       first += size;
     }
@@ -283,6 +289,7 @@ class ShootingCost final : public ceres::CostFunction {
   }
 
   ShootingFunction* shooting_;
+  Eigen::VectorXd scale_;
   // One problem, one thread: Ceres' interface is const, its evaluation here is a rollout of shooting_.
   mutable bool evaluated_ = false, finite_ = false;
   mutable std::vector<double> z_, residuals_, jacobian_;
@@ -438,6 +445,41 @@ SolveReport MinimizeLeastSquares(
   if (!summary.IsSolutionUsable() && record.iterate()) z = *record.iterate();
   SolveReport report = Conclude(run, &record, z, {summary.termination_type, summary.iterations, false});
   report.work.evaluations = shot->num_jacobians();
+  return report;
+}
+
+SolveReport MinimizeWithConstraints(
+    ShootingRun* run, std::vector<double> z, const RowRoles& roles,
+    const std::function<void(const VariableBlocks& variables, ceres::Problem* problem)>& set_bounds) {
+  double guess_loss = 0;
+  if (!run->function().Evaluate(z, &guess_loss, nullptr)) {
+    return run->Finish(z, Termination::kFailed, "loss not finite at iteration 0");
+  }
+  if (!run->Record(guess_loss, z)) return run->Finish(z, Termination::kInterrupted);
+  const double scale = guess_loss != 0 ? std::abs(guess_loss) : 1;
+  AugmentedLagrangian problem;
+  const std::vector<int> sizes = {static_cast<int>(z.size())};
+  auto shot = std::make_unique<ShootingCost>(&run->function(), sizes, roles.equalities + roles.inequalities, scale);
+  problem.Add(std::move(shot), roles, {z.data()});
+  set_bounds({sizes, {z.data()}}, &problem.problem());
+
+  double loss = guess_loss;
+  AugmentedLagrangian::Options rounds;
+  rounds.iterations = run->options().limits.iterations;
+  rounds.weight_of_costs = kWeightOfCosts;
+  rounds.callback = [&](double cost) {
+    loss = scale * cost;
+    return run->Record(loss, z);
+  };
+  const AugmentedLagrangian::Summary summary = problem.Minimize(rounds);
+  const Termination termination = TerminationOf(summary, rounds.iterations);
+  const bool is_open = termination != Termination::kInterrupted && summary.violation > rounds.tolerance;
+  SolveReport report =
+      run->Finish(z,
+                  termination,
+                  is_open ? "constraints are not met: the largest violation is " + ToText(summary.violation, 3) : "",
+                  scale * summary.cost);
+  report.work.evaluations = summary.jacobians;
   return report;
 }
 

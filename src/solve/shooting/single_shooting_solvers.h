@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "saltus/solve/solver.h"
+#include "solve/phases/augmented_lagrangian.h"
 #include "solve/solve_run.h"
 
 namespace ceres {
@@ -57,6 +58,12 @@ struct VariableBlocks {
 SolveReport MinimizeLeastSquares(
     ShootingRun* run, std::vector<double> z, int num_own, double offset,
     const std::function<void(const VariableBlocks& variables, ceres::Problem* problem)>& add_terms);
+
+// Minimises with constraints, by an augmented Lagrangian (augmented_lagrangian.h) from z: the first rows of the run's
+// function are equalities and inequalities, the others squares of costs. `set_bounds` may bound z, which is within.
+SolveReport MinimizeWithConstraints(
+    ShootingRun* run, std::vector<double> z, const RowRoles& roles,
+    const std::function<void(const VariableBlocks& variables, ceres::Problem* problem)>& set_bounds);
 
 // The residuals are the terminal ones and sqrt(effort dt) u; running terms at Gauss' nodes of each step, via terms and
 // the price of a free final time. Bounds on components of forces are Ceres' own. Precondition: the objective is a sum
