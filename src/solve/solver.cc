@@ -27,7 +27,6 @@
 #include "solve/phases/sequence_run.h"
 #include "solve/search/global_search.h"
 #include "solve/search/mode_search.h"
-#include "solve/search/phase_search.h"
 #include "solve/shooting/single_shooting_solvers.h"
 #include "solve/shooting/step_shooting_solvers.h"
 #include "solve/solve_chain.h"

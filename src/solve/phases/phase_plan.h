@@ -1,6 +1,6 @@
 // The task of a solve along a given sequence of events, its start and its result, for any kind of system.
 //
-// Solvers along sequences of events (phase_attempt.h, sequence_update.h, search/phase_search.h) know a problem as a
+// Solvers along sequences of events (phase_attempt.h, sequence_update.h, search/sequence_search.h) know a problem as a
 // run, a class Run with
 //
 //   Run::Event        what ends a phase: of discs a pair of them, of a hybrid system a guard of a mode. Comparable.

@@ -30,6 +30,8 @@ class HybridSearch {
   explicit HybridSearch(const HybridPhaseRun& run, const HybridProblem& problem)
       : run_(run), problem_(problem), events_(AllEvents()) {}
 
+  double MeritOf(const HybridMotion& motion) const { return run_.MeritOf(motion); }
+  double ViolationOf(const HybridMotion& motion) const { return run_.ViolationOf(motion); }
   RelaxedOptima<HybridPhaseRun> SolveRelaxed(const SolverOptions&) const { return {}; }
 
   std::optional<HybridMotion> BeginAtRandom(std::uint64_t seed, int number) const {
@@ -37,27 +39,27 @@ class HybridSearch {
     Random random(seed * 1000003 + number);
     HybridMotion motion = run_.guess();
     motion.exact = {};
-    const int width = run_.control_width();
-    const double duration = DurationOf(motion);
     if (free.control) {
-      const std::vector<double> sizes = ControlSizes();
-      for (int i = 0; i < width; ++i) {
-        const double mean = random.Symmetric() * sizes[i], slope = random.Symmetric() * sizes[i];
-        double begin = 0;
-        for (size_t k = 0; k < motion.durations.size(); ++k) {
-          const double place = 2 * (begin + 0.5 * motion.durations[k]) / duration - 1;
-          motion.control[k * width + i] = number == 0 ? 0 : mean + place * slope;
-          begin += motion.durations[k];
-        }
-      }
+      std::fill(motion.control.begin(), motion.control.end(), 0.0);
+      AddRandomControl(number == 0 ? 0 : 1, &random, &motion);
     }
-    for (const FreeVariable& variable : FreeVariables(free, width, /*num_intervals=*/0)) {
+    for (const FreeVariable& variable : FreeVariables(free, run_.control_width(), /*num_intervals=*/0)) {
       if (variable.kind == FreeVariable::Kind::kDuration) continue;
       const double part = random.Uniform(0, 1), range = variable.max - variable.min;
       double& value = variable.Access(motion);
       const double size = std::max(1.0, std::abs(value));
       value = std::isfinite(range) ? variable.min + part * range : value + (2 * part - 1) * size;
     }
+    return motion;
+  }
+
+  std::optional<HybridMotion> BeginAround(const HybridMotion& best, std::uint64_t seed, int number) const {
+    constexpr double kParts[] = {0.1, 0.3, 1};
+    if (!run_.problem().free.control) return std::nullopt;
+    Random random(seed * 1000003 + 500009 + number);
+    HybridMotion motion = best;
+    motion.exact = {};
+    AddRandomControl(kParts[number % 3], &random, &motion);
     return motion;
   }
 
@@ -100,12 +102,13 @@ class HybridSearch {
     return neighbours;
   }
 
-  Finding SolveAlong(HybridMotion from, const SearchStartOf<Run>& search_start, double most_loss,
-                     const SolverOptions& options) const {
+  Finding SolveFrom(HybridMotion from, const SearchStartOf<Run>& search_start, double most_loss,
+                    const SolverOptions& options) const {
     Finding finding;
     HybridProblem problem = problem_;
     problem.guess = run_.InputOf(from);
     bool first = true;
+    const bool is_worth_more = search_start.is_guess || search_start.effort == SearchStartOf<Run>::Effort::kThorough;
     // Neither an optimum nor lower than its start, one of many solves is not worth a more accurate one.
     const auto is_of_use = [&](const SolveReport& report) {
       const double lower = report.guess.loss - kSameOptimum * std::abs(report.guess.loss);
@@ -122,10 +125,11 @@ class HybridSearch {
       if (!search_start.is_guess) run.set_one_of_many(most_loss);
       if (auto refused = run.StartFailure()) return *refused;
       SolveReport report = UpdateHybridSequence(&run);
-      // The start of the user is worth a solve with second derivatives, where one without them finds no optimum.
+      // The start of the user and the best motion are worth a solve with second derivatives, where one without them
+      // finds no optimum.
       const bool ended =
           report.termination == Termination::kConverged || report.termination == Termination::kInterrupted;
-      if (search_start.is_guess && !ended && HasInteriorPoint()) {
+      if (is_worth_more && !ended && HasInteriorPoint()) {
         HybridPhaseRun other("mode_search", at, own, from, search_start.sequence);
         other.set_algorithm(AugmentedLagrangian::Algorithm::kInteriorPoint);
         if (SolveReport second = UpdateHybridSequence(&other); EndsBetter(second, report)) report = std::move(second);
@@ -139,11 +143,12 @@ class HybridSearch {
       return report;
     };
     finding.report = SolveWithEnoughSteps(problem, options, solve, is_of_use);
+    finding.work = finding.report.work.evaluations * WorkBySteps();
     return finding;
   }
 
   // With equalities as costs and without inequalities.
-  int Shoot(const SolverOptions& options, HybridMotion* motion) const {
+  int Shoot(const SolverOptions& options, const SearchStartOf<Run>& start, HybridMotion* motion) const {
     HybridProblem relaxed = run_.problem();
     std::erase_if(relaxed.terms, [](const HybridTerm& term) { return term.role == HybridTerm::Role::kInequality; });
     for (HybridTerm& term : relaxed.terms) {
@@ -159,11 +164,22 @@ class HybridSearch {
       motion->parameters = report.solution.parameters;
       if (!report.solution.durations.empty()) motion->durations = report.solution.durations;
     }
+    if (start.is_more) run_.Simulate(motion);
     return report.work.evaluations;
   }
 
   double WorkByRollout() const { return 10 + 1.0 * StatesOfSteps(); }
-  double WorkBySteps() const { return 20 + 4.0 * StatesOfSteps(); }
+  double WorkOf(const HybridMotion&, const SearchStartOf<Run>&) const { return WorkBySteps(); }
+  int starts_of_sequence() const { return 1; }
+  bool LacksEvents(const HybridMotion& motion) const {
+    return std::ranges::any_of(
+        events_, [&](const ModeEvent& event) { return std::ranges::count(motion.exact.contacts, event) == 0; });
+  }
+  double long_work() const { return INFINITY; }
+  bool descends_from_guess() const { return false; }
+  bool shares_intervals() const { return false; }
+  double lowest_loss() const { return 0; }
+  double LowestAlong(const Sequence&) const { return 0; }
   bool AllCostsAreSquares() const {
     return std::ranges::none_of(problem_.terms,
                                 [](const HybridTerm& term) { return term.role == HybridTerm::Role::kValue; });
@@ -180,6 +196,22 @@ class HybridSearch {
   }
 
  private:
+  // Adds controls at random, linear in time, of up to a part of the size of each control and as much of a slope.
+  void AddRandomControl(double part, Random* random, HybridMotion* motion) const {
+    const int width = run_.control_width();
+    const double duration = DurationOf(*motion);
+    const std::vector<double> sizes = ControlSizes();
+    for (int i = 0; i < width; ++i) {
+      const double mean = random->Symmetric() * sizes[i], slope = random->Symmetric() * sizes[i];
+      double begin = 0;
+      for (size_t k = 0; k < motion->durations.size(); ++k) {
+        const double place = 2 * (begin + 0.5 * motion->durations[k]) / duration - 1;
+        motion->control[k * width + i] += part * (mean + place * slope);
+        begin += motion->durations[k];
+      }
+    }
+  }
+
   // Every guard, with the mode that its reset leads to from the first state of a motion in that mode.
   Sequence AllEvents() const {
     const HybridSystem& system = problem_.system;
@@ -278,6 +310,8 @@ class HybridSearch {
     }
     return std::any_of(ends.begin(), ends.end(), [&](const auto& end) { return end != ends[0]; });
   }
+
+  double WorkBySteps() const { return 20 + 4.0 * StatesOfSteps(); }
 
   // Each counted as often as it takes the time of one of a small system: mechanical systems solve for the forces of
   // closed contacts in each stage.

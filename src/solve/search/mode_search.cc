@@ -1,561 +1,398 @@
 #include "solve/search/mode_search.h"
 
 #include <algorithm>
-#include <array>
+#include <chrono>
 #include <cmath>
-#include <deque>
-#include <functional>
-#include <iterator>
-#include <limits>
-#include <map>
-#include <memory>
-#include <optional>
-#include <set>
-#include <string>
 #include <utility>
 
-#include "base/parallel_for.h"
-#include "saltus/control/objective.h"
+#include "control/control_bounds.h"
 #include "scene/units.h"
+#include "solve/control_guess.h"
+#include "solve/phases/ceres_event.h"
 #include "solve/phases/ceres_phases.h"
+#include "solve/phases/phase_attempt.h"
 #include "solve/phases/phase_run.h"
+#include "solve/phases/sequence_update.h"
 #include "solve/search/loss_bound.h"
-#include "solve/search/phase_search.h"
-#include "solve/search/search_solve.h"
 #include "solve/search/search_starts.h"
 #include "solve/search/sequence_search.h"
-#include "solve/search/task_queue.h"
+#include "solve/shooting/single_shooting_solvers.h"
 
 namespace saltus {
 namespace {
 
-constexpr double kBound = 3;           // times the best loss
-constexpr double kNoLoss = 1e-12;      // in natural units: to be compared with nothing smaller
-constexpr double kProved = 1e-8;       // relative, between the best loss and a lower bound
-constexpr int kPatience = 150;         // solves after which nothing better is expected
-constexpr int kMoreStarts = 3;         // times the starts, that are tried then
-constexpr int kMostRounds = 4;         // of more starts
-constexpr int kRoundsAtEnd = 2;        // of them, where no neighbours are left
-constexpr int kMorePatience = 100;     // solves after those
-constexpr double kLongWork = 1e6;      // of a search (SearchOptions::work), from which on it may be a long one
-constexpr double kLongPatience = 1e7;  // work of as many solves, from which on the work is compared with
-constexpr double kPatienceWork = 5;    // times the work at which the search was last better
-constexpr size_t kMoreImpacts = 8;     // than the best motion has: neighbours of motions with more are left out
-constexpr int kMostMended = 12;        // motions, each the best at its time, whose sequence is mended
-constexpr int kMoreMended = 2;         // others near the best, where the search has come to a stop
-constexpr double kNearBest = 1.05;     // of its loss
-constexpr double kApart = 1.001;       // the losses of these
-constexpr double kMuchBetter = 0.99;   // of the loss of the last one: mended at once, else where the search would stop
-constexpr int kAheadOfLong = 100;      // solves that go on beside one that takes as long as many
-constexpr int kStarts = 3;             // motions from which a sequence is tried
-constexpr size_t kMostRunnersUp = 12;
+using Finding = FindingOf<Trial>;
+using Start = SearchStartOf<PhaseRun>;
 
-// A sequence as something to be compared.
-using SequenceKey = std::vector<std::array<int, 3>>;
-SequenceKey KeyOf(const ContactSequence& sequence) {
-  SequenceKey key;
-  for (const Candidate& c : sequence) key.push_back({c.a, c.b, c.plane});
-  return key;
+constexpr int kStartsOfSequence = 3;  // motions from which a sequence is tried, along closed arcs
+constexpr int kFewIntervals = 48;     // of a coarse control, at least
+constexpr double kLossChange = 0.02;  // relative, in the last steps of a solve that shares intervals
+constexpr double kShareGain = 1e-7;   // relative: of the loss, for which intervals change their phase
+
+// Constants of random starts, for searches by ceres_phases.
+constexpr int kStarts = 8;  // at random
+constexpr int kIntervalsOfStarts = 60;
+constexpr double kPromising = 1.3;  // times the loss of an optimum, that of a start which may lead to a better one
+constexpr size_t kMostSolves = 3;   // from such starts
+
+// The problem without what closed arcs and shooting do not take; hard terms are costs.
+Scene Relaxed(const Scene& given) {
+  Scene scene = ReplaceRegionsByTargets(given);
+  scene.control.max.clear();
+  scene.control.max_norm.clear();
+  scene.control.max_torque.clear();
+  scene.no_contact.clear();
+  scene.objective.running.clear();
+  scene.objective.via.clear();
+  scene.objective.duration.reset();
+  for (TerminalTerm& term : scene.objective.terminal) {
+    if (!term.hard) continue;
+    term.hard = false;
+    term.weight = 1;  // in natural units
+  }
+  scene.objective.limits.clear();
+  return scene;
 }
 
-using Motion = std::shared_ptr<const Trial>;
+// Returns the number of the scene's intervals in one interval of a coarse control.
+int IntervalsInOne(int steps) {
+  int number = std::max(1, steps / kFewIntervals);
+  while (steps % number != 0) --number;
+  return number;
+}
 
-// The sequences to be solved along, best first.
-class SearchQueue {
- public:
-  // `memory`, bytes: of what does not fit the last is forgotten.
-  explicit SearchQueue(std::size_t memory) : memory_(memory) {}
+// The work of one gradient or Jacobian in microseconds, as measured on the problems and on generated ones: by a
+// rollout; along so many impacts in closed arcs; with a cost for every step.
+double WorkByRollout(const Scene& scene) { return 10 + 0.02 * scene.steps * scene.num_bodies(); }
 
-  // Adds a solve along a sequence, from a motion that so many others of the queue share; the order is that of losses.
-  // Not added if the sequence has been tried from enough motions.
-  void AddSequence(const Motion& from, ContactSequence sequence, size_t sharing = 1) {
-    int& starts = starts_[KeyOf(sequence)];
-    if (starts >= kStarts) return;
-    ++starts;
-    Add(from, std::move(sequence), sharing);
+double WorkByArcs(const Scene& scene, size_t impacts) {
+  const double arcs = static_cast<double>(impacts) + 1;
+  return 20 + 2 * arcs * arcs * scene.num_bodies();
+}
+
+double WorkBySteps(const Scene& scene) {
+  const double each = scene.optimize == Optimize::kControl ? 2 : 0.15;  // without forces there is less to solve for
+  return 20 + each * scene.steps * scene.num_bodies();
+}
+
+// The gap at a new impact, by how far from a touch its pair would be.
+double GapAt(const Scene& scene, const Candidate& c, const EventPhases::State& x) {
+  const double distance = SeparationOf(scene, c, x.p).distance - scene.bodies[c.a].radius;
+  return c.plane ? distance : distance - scene.bodies[c.b].radius;
+}
+
+// The sequences that differ from that of `trial` by one impact inserted, removed or replaced by one of another pair: at
+// most so many, first of all removals, then those whose new pair comes nearest to a touch. Precondition: impacts only.
+std::vector<ContactSequence> NeighboursOf(const Scene& scene, const Trial& trial, bool* left_out) {
+  const ContactSequence& sequence = trial.exact.contacts;
+  const ContactSequence pairs = AllPairs(scene);
+  std::vector<ContactSequence> neighbours;
+  for (size_t i = 0; i < sequence.size(); ++i) {
+    neighbours.push_back(sequence);
+    neighbours.back().erase(neighbours.back().begin() + i);
   }
-  // Adds a solve of a motion along its own sequence, whatever that has been tried from, if it has only impacts.
-  void AddMotion(const Trial& trial) {
-    if (!trial.exact.only_impacts) return;
-    NoteTried(trial.exact.contacts);
-    Add(std::make_shared<const Trial>(trial), trial.exact.contacts, 1);
-  }
-  // Counts a motion from which a sequence is tried without the queue.
-  void NoteTried(const ContactSequence& sequence) { ++starts_[KeyOf(sequence)]; }
-
-  bool empty() const { return queue_.empty(); }
-  double first_loss() const { return queue_.begin()->first.first; }
-  SearchTask TakeFirst() {
-    auto node = queue_.extract(queue_.begin());
-    bytes_ -= node.mapped().bytes;
-    return std::move(node.mapped().task);
-  }
-  bool has_forgotten() const { return forgotten_; }
-
- private:
-  struct Queued {
-    SearchTask task;
-    std::size_t bytes = 0;
-  };
-
-  void Add(const Motion& from, ContactSequence sequence, size_t sharing) {
-    const double loss = from->exact.loss;
-    const std::size_t motion = sizeof(Trial) + (from->control.size() + from->durations.size()) * sizeof(double);
-    const std::size_t bytes = sizeof(Queued) + sequence.size() * sizeof(Candidate) + motion / sharing;
-    bytes_ += bytes;
-    SearchTask task{.sequence = std::move(sequence), .from = from};
-    queue_.emplace(std::pair(loss, number_++), Queued{std::move(task), bytes});
-    while (bytes_ > memory_ && queue_.size() > 1) {
-      const auto last = std::prev(queue_.end());
-      bytes_ -= last->second.bytes;
-      queue_.erase(last);
-      forgotten_ = true;
+  const size_t removals = neighbours.size();
+  std::vector<size_t> places(removals);  // of the new impact
+  for (const bool replaces : {false, true}) {
+    for (size_t i = 0; i + replaces <= sequence.size(); ++i) {
+      for (const Candidate& pair : pairs) {
+        if (replaces && pair == sequence[i]) continue;
+        neighbours.push_back(sequence);
+        places.push_back(i);
+        if (replaces) {
+          neighbours.back()[i] = pair;
+        } else {
+          neighbours.back().insert(neighbours.back().begin() + i, pair);
+        }
+      }
     }
   }
-
-  std::size_t memory_, bytes_ = 0;
-  bool forgotten_ = false;
-  int number_ = 0;
-  std::map<std::pair<double, int>, Queued> queue_;
-  std::map<SequenceKey, int> starts_;  // motions from which a sequence is, or is to be, tried
-};
-
-// The best motions that are no optima, one of each sequence.
-class RunnersUp {
- public:
-  void ConsiderTrial(const Trial& trial) {
-    const auto known = std::find_if(motions_.begin(), motions_.end(), [&](const auto& other) {
-      return other.second->exact.contacts == trial.exact.contacts;
-    });
-    if (known != motions_.end()) {
-      if (known->first <= trial.exact.loss) return;
-      motions_.erase(known);
+  *left_out = neighbours.size() > sequence_search::kMostNeighbours;
+  if (!*left_out) return neighbours;
+  const Flight flight = FlightOf(scene, trial);
+  std::vector<std::pair<double, size_t>> order;  // by gap
+  for (size_t n = 0; n < neighbours.size(); ++n) {
+    double gap = 0;
+    if (n >= removals) {
+      const PhaseGuess guess = GuessFrom(scene, flight, neighbours[n]);
+      gap = std::max(0.0, GapAt(scene, neighbours[n][places[n]], guess.before[places[n]]));
     }
-    motions_.emplace(trial.exact.loss, std::make_shared<const Trial>(trial));
-    if (motions_.size() > kMostRunnersUp) motions_.erase(std::prev(motions_.end()));
+    order.push_back({gap, n});
   }
-  const std::multimap<double, Motion>& by_loss() const { return motions_; }
+  std::sort(order.begin(), order.end());
+  std::vector<ContactSequence> nearest;
+  for (size_t n = 0; n < sequence_search::kMostNeighbours; ++n) {
+    nearest.push_back(std::move(neighbours[order[n].second]));
+  }
+  return nearest;
+}
 
- private:
-  std::multimap<double, Motion> motions_;
-};
-
-class ModeSearch : LimitedSearch {
+// The problem of a search, for SequenceSearch.
+class DiscSearch {
  public:
-  ModeSearch(PhaseRun* run, const SolveRequest& request)
-      : LimitedSearch(run->options()),
-        run_(*run),
-        request_(request),
-        scene_(run->scene()),
-        bound_(scene_),
-        queue_(options_.sequences.limits.memory / 2) {
-    const SearchOptions& search = options_.sequences.limits;
-    options_.limits.memory = std::min(options_.limits.memory, search.memory / (2 * NumThreads(options_.threads)));
-    searched_.lower_bound = bound_.lowest();
+  using Run = PhaseRun;
+  static constexpr char kLeftOut[] = "neighbours far from a touch";
+  static constexpr char kEndOfDescent[] =
+      "the best motion is the end of a descent, and no sequence tried has its optimum there: let the search do more "
+      "work and more random starts, or start from this control";
+
+  DiscSearch(const PhaseRun& run, const SolveRequest& request) : run_(run), request_(request), scene_(run.scene()) {
+    if (NonTerminalFeatures(scene_).empty() && UnsupportedByEventPhases(request).empty()) bound_.emplace(scene_);
   }
 
-  SolveReport Search(const ContactSequence& first) {
-    best_trial_ = run_.guess();
-    if (options_.sequences.search) {
-      BeginWithStarts(first);
+  // Without constraints any motion may be returned, whatever its contacts.
+  double MeritOf(const Trial& trial) const {
+    return by_arcs() && trial.exact.ok ? trial.exact.loss : run_.MeritOf(trial);
+  }
+  double ViolationOf(const Trial& trial) const { return by_arcs() && trial.exact.ok ? 0 : run_.ViolationOf(trial); }
+
+  RelaxedOptima<PhaseRun> SolveRelaxed(const SolverOptions& options) const {
+    RelaxedOptima<PhaseRun> optima;
+    if (by_arcs()) return optima;
+    SolveRequest relaxed{Relaxed(scene_), request_.contact};
+    if (!UnsupportedByEventPhases(relaxed).empty()) return optima;
+    const SolveReport found = SolveByModeSearch(relaxed, options);
+    optima.evaluations = found.work.evaluations;
+    if (found.searched) optima.work = found.searched->work;
+    if (found.solution.control.empty()) return optima;
+    Trial& trial = optima.best.emplace(Trial{found.solution.control, found.solution.durations, {}});
+    if (trial.durations.empty()) trial.durations.assign(scene_.steps, scene_.dt());
+    Simulate(scene_, &trial);
+    optima.is_bound = !scene_.objective.duration && !HasGoalRegion(scene_);
+    for (const LocalOptimum& other : found.optima) optima.others.emplace_back(other.loss, other.sequence);
+    return optima;
+  }
+
+  std::optional<Trial> BeginAtRandom(std::uint64_t seed, int number) const {
+    const std::optional<Scene> begun = saltus::BeginAtRandom(scene_, seed, number);
+    if (!begun) return std::nullopt;
+    Trial trial = GuessTrial(*begun);
+    if (scene_.optimize != Optimize::kControl) trial.initial = InitialState(*begun);
+    return trial;
+  }
+
+  std::optional<Trial> BeginAround(const Trial& best, std::uint64_t seed, int number) const {
+    if (scene_.optimize != Optimize::kControl) return std::nullopt;
+    const ControlGuess guess{best.control, best.durations};
+    return Trial{ControlAround(scene_, guess, seed, number), best.durations, {}};
+  }
+
+  std::vector<ContactSequence> NeighboursOf(const Trial& trial, bool* left_out) const {
+    Scene scene = scene_;
+    scene.duration = DurationOf(trial);
+    return saltus::NeighboursOf(scene, trial, left_out);
+  }
+
+  Finding SolveFrom(Trial from, const Start& start, double most_loss, SolverOptions options) const {
+    options.sequences.given = start.sequence;
+    Finding finding;
+    PhaseRun run("mode_search", request_, options, run_.ClampToBounds(std::move(from)));
+    if (auto refused = run.StartFailure()) {
+      finding.report = std::move(*refused);
+      if (start.shooting != Shooting::kNone) finding.report.reason = kEndOfDescent;
+      finding.trial = run.guess();
+      return finding;
+    }
+    if (by_arcs() && start.shooting != Shooting::kNone && !start.is_guess) run.set_one_of_many(most_loss);
+    const TryPlan solve_plan = [&](const PhasePlan& plan, const PlanStart& at, const ContinuePredicate& may_continue) {
+      const bool arcs = by_arcs() && !plan.HasTies() && !plan.HasRegimes() && plan.apart.empty();
+      PlanAttempt attempt = TryByArcs(&run, plan, at, may_continue);
+      finding.work += attempt.jacobians * (arcs ? WorkByArcs(scene_, plan.cuts.size()) : WorkBySteps(scene_));
+      const ExactRun& met = attempt.trial.exact;
+      if (start.sequence && attempt.valid && met.ok && met.only_impacts && met.contacts != *start.sequence) {
+        finding.strayed = attempt.trial;
+      }
+      return attempt;
+    };
+    if (start.effort == Start::Effort::kShare) {
+      finding.report = Share(&run);
+    } else if (by_arcs() && start.effort == Start::Effort::kUsual) {
+      finding.report = SolveWithSequenceUpdates(&run, solve_plan);
     } else {
-      starts_left_.push_back(MakeGuessTask(first));
+      finding.report = UpdateBySteps(&run, request_);
+      finding.work = finding.report.work.evaluations * WorkBySteps(scene_);
     }
-    RunAll([this] { return Next(); });
-    if (!end_ && HasMore()) {
-      AddLimitRemark(IsLong() ? "no improvement in most of the work"
-                              : "no improvement in " + std::to_string(kPatience) + " solves");
+    Trial& trial = finding.trial;
+    trial.control = finding.report.solution.control;
+    trial.durations = finding.report.solution.durations;
+    if (scene_.optimize != Optimize::kControl) trial.initial = finding.report.solution.initial_state;
+    Simulate(scene_, &trial);
+    return finding;
+  }
+
+  // Whatever the constraints.
+  int Shoot(SolverOptions options, const Start& start, Trial* trial) const {
+    SolveRequest relaxed{Relaxed(BeginningAs(*trial, scene_)), request_.contact};
+    if (start.is_more) relaxed.scene.steps /= IntervalsInOne(scene_.steps);
+    const int gradients = Shoot(relaxed, options, start.shooting, trial);
+    if (start.is_more) {
+      trial->control = MeanOverSteps({trial->control, {}}, scene_.control_width(), scene_.steps);
+      trial->durations.assign(scene_.steps, scene_.dt());
+      Simulate(scene_, trial);
     }
-    if (options_.sequences.search && !end_) {
-      ShareBest();
-      UpdateUnstationary();
+    return gradients;
+  }
+  int Shoot(const SolveRequest& relaxed, SolverOptions options, Shooting shooting, Trial* trial) const {
+    options.limits.memory = run_.options().limits.memory;
+    options.limits.impacts = kMostImpactsOfMotion;
+    options.descent = run_.options().descent;
+    const UnitFactors to(Units{}, scene_.units);  // the rate is N^2 per unit of the loss
+    options.descent.learning_rate *= to.force * to.force / to.loss;
+    if (options.descent.rate_per_time) options.descent.learning_rate *= to.time;
+    if (scene_.optimize == Optimize::kControl) options.guess = ControlGuess{trial->control, trial->durations};
+    SolveReport report =
+        shooting == Shooting::kDescent ? SolveByGradientDescent(relaxed, options) : SolveByCeresLm(relaxed, options);
+    if (report.history.losses.empty()) return report.work.evaluations;
+    if (scene_.optimize == Optimize::kControl) {
+      const auto& best = report.history.best;
+      const bool has_best = best && !best->solution.control.empty();
+      trial->control = has_best ? best->solution.control : report.solution.control;
+      trial->durations.assign(relaxed.scene.steps, relaxed.scene.dt());
+    } else {
+      trial->initial = report.solution.initial_state;
     }
-    return Report();
+    Simulate(scene_, trial);
+    return report.work.evaluations;
   }
 
- private:
-  double BestLoss() const { return best_trial_.exact.loss; }
-  double Bound() const { return kBound * BestLoss(); }
-  // Whether no motion is better than the best optimum. Precondition: there is one.
-  bool IsProved() const {
-    const double loss = best_optimum_.exact.loss;
-    return loss - bound_.lowest() <= kProved * loss;
+  double WorkByRollout() const { return saltus::WorkByRollout(scene_); }
+  double WorkOf(const Trial& from, const Start& start) const {
+    if (!by_arcs() || start.effort == Start::Effort::kThorough) return WorkBySteps(scene_);
+    return WorkByArcs(scene_, start.sequence ? start.sequence->size() : from.exact.contacts.size());
   }
-  // Whether discs or planes that could meet do not in the best motion.
-  bool LacksPairs() const {
-    const ContactSequence& met = best_trial_.exact.contacts;
-    return std::ranges::any_of(AllPairs(scene_), [&](const Candidate& c) { return std::ranges::count(met, c) == 0; });
+  int starts_of_sequence() const { return by_arcs() ? kStartsOfSequence : 1; }
+  bool LacksEvents(const Trial& trial) const {
+    return std::ranges::any_of(AllPairs(scene_),
+                               [&](const Candidate& c) { return std::ranges::count(trial.exact.contacts, c) == 0; });
   }
-
-  // ----------------------------------------------------------------------------------------------------------- solves
-
-  SearchTask MakeGuessTask(const ContactSequence& sequence) const {
-    return {.sequence = sequence, .from = std::make_shared<const Trial>(run_.guess())};
+  double long_work() const { return by_arcs() ? sequence_search::kLongWork : INFINITY; }
+  bool descends_from_guess() const { return by_arcs(); }
+  bool shares_intervals() const { return by_arcs(); }
+  double lowest_loss() const { return by_arcs() ? bound_->lowest() : 0; }
+  double LowestAlong(const ContactSequence& sequence) const {
+    return by_arcs() ? bound_->BoundAlongSequence(sequence) : 0;
   }
-
-  void BeginWithStarts(const ContactSequence& first) {
-    const std::vector<Vec2d>& guess = scene_.control.initial;
-    if (run_.guess().exact.only_impacts) {
-      queue_.NoteTried(first);
-      starts_left_.push_back(MakeGuessTask(first));
-    }
-    starts_left_.push_back({.kind = SearchTask::Kind::kShoot, .forces = guess});
-    starts_left_.push_back({.kind = SearchTask::Kind::kDescend, .forces = guess});
-    if (run_.guess().exact.only_impacts) AddNeighboursOf(run_.guess());
-    searched_.starts = 1;
-    AddStarts(0, options_.sequences.limits.starts);
-  }
-
-  // Starts from `first` on.
-  void AddStarts(int first, int number, bool coarse = false) {
-    for (int i = first; i < first + number; ++i) {
-      starts_left_.push_back({.kind = SearchTask::Kind::kShoot,
-                              .forces = SearchStart(scene_, options_.sequences.limits.seed, i),
-                              .coarse = coarse});
-    }
-    drawn_starts_ += number;
-    searched_.starts += number;
-  }
-
-  // Where the search has come to a stop: more motions at random, and as many around the best one; others near it are
-  // mended. False if there are none.
-  bool AddMoreStarts(bool coarse) {
-    const int more = kMoreStarts * options_.sequences.limits.starts;
-    if (rounds_ == kMostRounds || more == 0) return false;
-    if (drawn_ + 2 * more + kMoreMended + kMorePatience > options_.limits.iterations) return false;
-    ++rounds_;
-    AddStarts(drawn_starts_, more, coarse);
-    coarse_around_ = coarse;
-    around_best_ = more;
-    searched_.starts += more;
-    int mended = 0;
-    double last = 0;
-    for (const auto& [loss, motion] : runners_up_.by_loss()) {
-      if (mended == kMoreMended || loss > kNearBest * BestLoss()) break;
-      if (loss < kApart * last || !mended_sequences_.insert(KeyOf(motion->exact.contacts)).second) continue;
-      ++mended;
-      last = loss;
-      starts_left_.push_back({.kind = SearchTask::Kind::kMend, .from = motion});
-    }
-    last_better_ = std::max(last_better_, solves_ + 2 * more + mended - (kPatience - kMorePatience));
-    return true;
-  }
-
-  // Returns the next task: first those of updates of sequences, then those that updates do not reach.
-  std::optional<SearchTask> Next() {
-    if (!options_.sequences.search || !starts_left_.empty() || around_best_ > 0) return TakeStart();
-    if (auto mend = UpdateBest(best_is_mended_ ? 1 - kSameOptimum : kMuchBetter)) return mend;
-    while (HasMore()) {
-      if (solves_ - last_better_ > kPatience || IsLong()) {
-        if (auto mend = UpdateBest(1 - kSameOptimum)) return mend;
-        if (!IsLong() && AddMoreStarts(/*coarse=*/false)) return TakeStart();
-        return std::nullopt;
-      }
-      SearchTask task = queue_.TakeFirst();
-      if (bound_.BoundAlongSequence(task.sequence) <= Bound()) return task;
-    }
-    if (auto mend = UpdateBest(1 - kSameOptimum)) return mend;
-    // The neighbours of the optima to which few starts lead may all be worse than a motion to which none of them leads.
-    const bool may_find_more = rounds_ < kRoundsAtEnd && !IsLong() && LacksPairs() && !(HasBestOptimum() && IsProved());
-    if (drawn_ == solves_ && may_find_more && AddMoreStarts(/*coarse=*/true)) return TakeStart();
-    return std::nullopt;
-  }
-
-  // Solves along many impacts take so much that the patience in solves would outlast any limit.
-  bool IsLong() const {
-    return searched_.work > std::max(kLongWork, kPatienceWork * better_work_) &&
-           searched_.work * kPatience > kLongPatience * solves_;
-  }
-
-  bool HasMore() const { return !queue_.empty() && queue_.first_loss() <= Bound(); }
-
-  std::optional<SearchTask> TakeStart() {
-    if (starts_left_.empty()) {
-      if (around_best_ == 0) return std::nullopt;
-      --around_best_;
-      auto start = std::make_shared<Trial>();
-      const ControlGuess guess{best_trial_.control, best_trial_.durations};
-      start->control = ControlAround(scene_, guess, options_.sequences.limits.seed, number_of_around_++);
-      start->durations = guess.durations;
-      return SearchTask{.kind = SearchTask::Kind::kShoot, .from = std::move(start), .coarse = coarse_around_};
-    }
-    SearchTask task = std::move(starts_left_.front());
-    starts_left_.pop_front();
-    return task;
-  }
-
-  // The best motion, if it is no optimum and below this part of the loss of the last one: there may be a kink. One at a
-  // time.
-  std::optional<SearchTask> UpdateBest(double part) {
-    if (mends_ || HasBestOptimum() || mended_ >= kMostMended || !best_trial_.exact.only_impacts) return std::nullopt;
-    if (!(best_trial_.exact.loss < part * best_mended_)) return std::nullopt;
-    ++mended_;
-    mends_ = true;
-    mended_sequences_.insert(KeyOf(best_trial_.exact.contacts));
-    best_mended_ = best_trial_.exact.loss;
-    return SearchTask{.kind = SearchTask::Kind::kMend, .from = std::make_shared<const Trial>(best_trial_)};
-  }
-
-  // The best motion, with the intervals that a share of them between phases by their lengths has left unused.
-  void ShareBest() {
-    const bool optimum = HasBestOptimum();
-    const Trial& best = optimum ? best_optimum_ : best_trial_;
-    const ContactSequence& sequence = optimum ? best.exact.contacts : best_along_;
-    if (sequence.empty() || !best.exact.only_impacts) return;
-    const double before = best_optimum_.exact.loss;
-    std::optional<SearchTask> share{
-        {.kind = SearchTask::Kind::kShare, .sequence = sequence, .from = std::make_shared<const Trial>(best)}};
-    RunAll([&] { return std::exchange(share, std::nullopt); });
-    const double now = best_optimum_.exact.loss;
-    if (optimum && now < before) std::erase_if(optima_, [&](const auto& known) { return known.loss == before; });
-  }
-
-  // The best optimum, where arcs have left it off a condition of optimality.
-  void UpdateUnstationary() {
-    if (end_ || !HasBestOptimum()) return;
-    if (!certificate_) certificate_ = CertifyTrial(scene_, best_optimum_);
-    if (!IsOff(certificate_)) return;
-    std::optional<SearchTask> mend{
-        {.kind = SearchTask::Kind::kMend, .from = std::make_shared<const Trial>(best_optimum_)}};
-    RunAll([&] { return std::exchange(mend, std::nullopt); });
-  }
-
-  // The result of a solve, and whether nothing has cut it short.
-  struct Outcome {
-    SearchFinding finding;
-    bool whole = false;
-  };
-
-  void RunAll(const std::function<std::optional<SearchTask>()>& next) {
-    TaskQueue<SearchTask, Outcome> line;
-    line.draw = [&]() -> std::optional<SearchTask> {
-      if (end_) return std::nullopt;
-      std::optional<SearchTask> task = next();
-      if (!task) return std::nullopt;
-      const std::optional<double> most_work = CountDrawn();
-      if (!most_work) return std::nullopt;
-      task->most_work = *most_work;
-      return task;
-    };
-    line.solve = [this](const SearchTask& task) {
-      Outcome outcome;
-      if (!Stopped()) outcome.finding = SolveTask(request_, options_, task);
-      outcome.whole = !Stopped();
-      return outcome;
-    };
-    line.look = [this](const SearchTask& task, Outcome outcome) {
-      if (task.kind == SearchTask::Kind::kMend) mends_ = false;
-      if (outcome.whole) {
-        ConsumeResult(task, std::move(outcome.finding));
-        if (!run_.Record(BestLoss())) end_ = End::kInterrupt;
-      } else {
-        if (outcome.finding.trial.exact.ok) ConsiderTrial(outcome.finding.trial, "");
-        EndByStop();
-      }
-    };
-    line.ahead = [](const SearchTask& task) {
-      using Kind = SearchTask::Kind;
-      return task.kind == Kind::kMend || task.kind == Kind::kDescend ? kAheadOfLong : 0;
-    };
-    line.RunAll(NumThreads(options_.threads));
-  }
-
-  // ------------------------------------------------------------------------------------------------- what solves found
-
-  void ConsumeResult(const SearchTask& task, SearchFinding finding) {
-    ++solves_;
-    jacobians_ += finding.jacobians;
-    searched_.work += finding.work;
-    if (task.kind == SearchTask::Kind::kAlong) tried_.insert(KeyOf(task.sequence));
-    ReportStatus(task);
-    const Trial& trial = finding.trial;
-    if (!trial.exact.ok) return;
-    const bool is_best = trial.exact.loss < (1 - kSameOptimum) * BestLoss();
-    if (is_best) {
-      last_better_ = solves_;
-      better_work_ = searched_.work;
-      best_is_mended_ = task.kind == SearchTask::Kind::kMend;
-      best_along_ = task.kind == SearchTask::Kind::kAlong ? task.sequence : trial.exact.contacts;
-    }
-    ConsiderTrial(trial, finding.remark);
-    for (const Trial& aside : finding.aside) {
-      ConsiderTrial(aside, "");
-      if (options_.sequences.search) queue_.AddMotion(aside);
-    }
-    if (!trial.exact.only_impacts) return;
-    if (finding.optimal) {
-      Keep(trial, std::move(finding.certificate));
-    } else if (task.kind != SearchTask::Kind::kMend) {
-      runners_up_.ConsiderTrial(trial);
-    }
-    if (!options_.sequences.search) {
-      if (!finding.optimal) failure_ = finding.remark;
-      return;
-    }
-    if (task.kind != SearchTask::Kind::kAlong) {
-      tried_.insert(KeyOf(trial.exact.contacts));
-      if (!finding.optimal) queue_.AddMotion(trial);
-    } else if (is_best && !finding.optimal) {
-      queue_.AddMotion(trial);
-    } else if (trial.exact.contacts != task.sequence) {  // impacts have appeared or vanished: next in turn
-      queue_.AddSequence(std::make_shared<const Trial>(trial), trial.exact.contacts);
-    }
-    if (!IsNew(trial)) return;
-    // Where discs meet again and again, each optimum has a neighbour with one impact more.
-    if (trial.exact.contacts.size() > best_trial_.exact.contacts.size() + kMoreImpacts) {
-      return AddLimitRemark("neighbours of motions with many more impacts than the best");
-    }
-    expanded_.insert(ExpansionOf(trial));
-    AddNeighboursOf(trial);
-  }
-
-  void AddNeighboursOf(const Trial& trial) {
-    bool left_out = false;
-    const Motion motion = std::make_shared<const Trial>(trial);
-    std::vector<ContactSequence> neighbours = NeighboursOf(scene_, trial, &left_out);
-    const size_t sharing = neighbours.size();
-    for (ContactSequence& next : neighbours) {
-      queue_.AddSequence(motion, std::move(next), sharing);
-    }
-    if (left_out) AddLimitRemark("neighbours far from a touch");
-  }
-
-  // Motions whose neighbours are queued: by sequence and loss.
-  using Expansion = std::pair<SequenceKey, double>;
-  Expansion ExpansionOf(const Trial& trial) const {
-    return {KeyOf(trial.exact.contacts), std::round(trial.exact.loss / (kSameOptimum * std::max(kNoLoss, BestLoss())))};
-  }
-  bool IsNew(const Trial& trial) const {
-    return trial.exact.loss <= Bound() && !expanded_.contains(ExpansionOf(trial));
-  }
-
-  // A motion that is no optimum, or none yet, but may be better than all.
-  void ConsiderTrial(const Trial& trial, const std::string& remark) {
-    if (!(trial.exact.loss < best_trial_.exact.loss)) return;
-    best_trial_ = trial;
-    best_remark_ = remark;
-  }
-
-  static bool IsOff(const std::optional<Certificate>& certificate) {
-    return certificate && certificate->verdict == Certificate::Verdict::kNotStationary;
-  }
-
-  void Keep(const Trial& trial, std::optional<Certificate> certificate) {
+  bool AllCostsAreSquares() const { return scene_.objective.IsSumOfSquares(); }
+  double LossForUser(double loss) const { return ConvertLoss(loss, scene_.units, {}); }
+  LocalOptimum OptimumOf(const Trial& trial) const {
     LocalOptimum found{trial.exact.contacts, trial.exact.loss, {}};
     for (const Event& event : trial.exact.events) found.times.push_back(event.time);
-    if (LocalOptimum* known = KnownAs(found)) {
-      // The best optimum, from another solve: it may meet the conditions that the first one has missed.
-      if (known->loss == best_optimum_.exact.loss && IsOff(certificate_) && certificate && !IsOff(certificate)) {
-        *known = std::move(found);
-        best_optimum_ = trial;
-        certificate_ = std::move(certificate);
-      }
-      return;
-    }
-    if (optima_.empty() || found.loss < best_optimum_.exact.loss) {
-      best_optimum_ = trial;
-      certificate_ = std::move(certificate);
-    }
-    optima_.push_back(std::move(found));
+    return found;
   }
 
-  // Whether no motion is better than the best optimum.
-  bool HasBestOptimum() const {
-    if (optima_.empty()) return false;
-    const double loss = best_optimum_.exact.loss;
-    return !(best_trial_.exact.loss < loss - kSameOptimum * std::abs(loss));
+ private:
+  // Whether closed arcs take the problem.
+  bool by_arcs() const { return bound_.has_value(); }
+
+  // Solves along the sequence of the motion that a run begins with, with intervals moved between its phases.
+  SolveReport Share(PhaseRun* run) const {
+    const Trial& from = run->guess();
+    const ContactSequence& sequence = *run->given_sequence();
+    PhaseMinimumOptions options;
+    options.iterations = run->options().limits.iterations;
+    options.callback = [stop = run->options().monitor.stop](double) { return !stop || !stop(); };
+    PhaseSolution shared =
+        SolveAlong(scene_, sequence, GuessFrom(scene_, FlightOf(scene_, from), sequence), options, kLossChange);
+    const auto is_motion = [&] { return shared.valid && shared.trial.exact.ok; };
+    if (is_motion()) shared = ShareBetter(scene_, std::move(shared), options, kShareGain);
+    run->report().work.evaluations = shared.minimum.jacobians;
+    if (!is_motion()) return run->Finish(from, from.exact.loss, Termination::kNoProgress);
+    const Certificate& certificate = run->Certify(shared.trial);
+    run->report().certificate = certificate;
+    const bool is_optimum = shared.optimal() && certificate.verdict != Certificate::Verdict::kNotStationary;
+    return run->Finish(shared.trial,
+                       shared.trial.exact.loss,
+                       is_optimum ? Termination::kConverged : Termination::kNoProgress,
+                       ReasonNotOptimal(scene_, sequence, shared.minimum.touches, shared.trial.exact));
   }
 
-  void ReportStatus(const SearchTask& task) const {
-    if (!options_.monitor.status) return;
-    const bool along = task.kind == SearchTask::Kind::kAlong;
-    options_.monitor.status(Status(ConvertLoss(BestLoss(), scene_.units, {})) + ", the last " +
-                            (along ? "along " + ContactSequenceToString(scene_, task.sequence) : "from another start"));
-  }
-
-  // -------------------------------------------------------------------------------------------------------------- end
-
-  SolveReport Report() {
-    if (queue_.has_forgotten()) AddLimitRemark("the limit of memory");
-    const std::string limits = LimitsAtEnd();
-    const size_t found = optima_.size();
-    const bool best_is_optimum = HasBestOptimum();
-    searched_.sequences = static_cast<int>(tried_.size());
-    run_.report().optima = TakeOptima();
-    run_.report().work.evaluations = jacobians_;
-    if (options_.sequences.search) run_.report().searched = searched_;
-    const Termination end = TerminationOf(best_is_optimum);
-    if (!best_is_optimum) {
-      std::string reason = best_remark_.empty() ? failure_ : best_remark_;
-      if (reason.empty()) {
-        reason = found == 0 ? "no solve ended at an optimum" : "no optimum found has a lower loss";
-      }
-      return run_.Finish(best_trial_, best_trial_.exact.loss, end, reason + limits);
-    }
-    Certify();
-    return run_.Finish(
-        best_optimum_,
-        best_optimum_.exact.loss,
-        end,
-        BestOf(found) + ", along " + ContactSequenceToString(scene_, best_optimum_.exact.contacts) + limits);
-  }
-
-  Termination TerminationOf(bool best_is_optimum) const {
-    if (end_ == End::kInterrupt) return Termination::kInterrupted;
-    if (end_ == End::kIterations) return Termination::kIterationLimit;
-    return best_is_optimum ? Termination::kConverged : Termination::kNoProgress;
-  }
-
-  // Sets the certificate of the best optimum.
-  void Certify() {
-    if (!certificate_) certificate_ = CertifyTrial(scene_, best_optimum_);
-    certificate_->sequences_searched = searched_.sequences;
-    if (options_.sequences.search && end_ != End::kInterrupt && !certificate_->IsSaddle()) {
-      certificate_->scope = Certificate::Scope::kBestOfSearched;
-    }
-    if (certificate_->verdict == Certificate::Verdict::kStationary && IsProved()) {
-      certificate_->verdict = Certificate::Verdict::kGlobal;
-    }
-    run_.report().certificate = std::move(certificate_);
-  }
-
-  PhaseRun& run_;
+  const PhaseRun& run_;
   const SolveRequest& request_;
   const Scene& scene_;
-  LossBound bound_;
-  std::deque<SearchTask> starts_left_;  // which come before the queue
-  int around_best_ = 0;                 // starts around the best motion, which come after them
-  int number_of_around_ = 0, drawn_starts_ = 0;
-  RunnersUp runners_up_;
-  SearchQueue queue_;
-  std::set<SequenceKey> tried_, mended_sequences_;
-  std::set<Expansion> expanded_;
-  Trial best_optimum_;
-  std::optional<Certificate> certificate_;  // of it
-  Trial best_trial_;                        // of all motions met, the guess included
-  ContactSequence best_along_;              // the sequence along which it was found, which it need not have
-  std::string best_remark_;                 // why it is no optimum
-  std::string failure_;
-  double best_mended_ = std::numeric_limits<double>::infinity();  // loss of the last motion mended
-  double better_work_ = 0;                                        // done when the search was last better
-  int last_better_ = 0, rounds_ = 0, mended_ = 0, jacobians_ = 0;
-  bool coarse_around_ = false;  // the starts around the best motion are coarse
-  bool mends_ = false;          // a motion is being mended
-  bool best_is_mended_ = false;
+  std::optional<LossBound> bound_;  // where closed arcs take the problem
 };
 
+// Returns random motions, after shooting within the bounds, whose merit is below `most`; best first.
+std::vector<Trial> PromisingStarts(const PhaseRun& run, const SolveRequest& request, double most) {
+  const DiscSearch search(run, request);
+  SolverOptions own;
+  own.monitor.stop = run.options().monitor.stop;
+  own.limits.iterations = sequence_search::kIterationsShooting;
+  std::vector<Trial> starts;
+  for (int i = 0; i < kStarts && !(own.monitor.stop && own.monitor.stop()); ++i) {
+    std::optional<Trial> start = search.BeginAtRandom(SearchOptions{}.seed, i);
+    if (!start) break;
+    SolveRequest bounded{Relaxed(BeginningAs(*start, run.scene())), request.contact};
+    bounded.scene.control.max = run.scene().control.max;
+    bounded.scene.steps = std::min(run.scene().steps, kIntervalsOfStarts);
+    search.Shoot(bounded, own, Shooting::kLeastSquares, &*start);
+    if (run.MeritOf(*start) < most) starts.push_back(std::move(*start));
+  }
+  std::ranges::stable_sort(starts, {}, [&](const Trial& start) { return run.MeritOf(start); });
+  return starts;
+}
+
+// Whether a report is better than another; constraints come before losses.
+bool IsBetter(const SolveReport& report, const SolveReport& than) {
+  const bool mine = report.solution.violation <= kFeasible, other = than.solution.violation <= kFeasible;
+  if (!mine || !other) return mine || (!other && report.solution.violation < than.solution.violation);
+  return report.solution.loss < than.solution.loss - kSameOptimum * std::abs(than.solution.loss);
+}
+
 }  // namespace
+
+SolveReport SolveByPhasesFromStarts(const SolveRequest& request, const SolverOptions& options) {
+  const auto begin = std::chrono::steady_clock::now();
+  const SolveReport first = SolveByCeresPhases(request, options);
+  const bool given = !options.sequences.search || options.sequences.given || options.guess;
+  bool interrupted = first.termination == Termination::kInterrupted;
+  if (given || interrupted || first.solution.control.empty() || first.work.iterations >= options.limits.iterations) {
+    return first;
+  }
+  if (!request.scene.control.IsBounded() || AllPairs(request.scene).empty()) return first;
+
+  SolverOptions own = options;
+  own.monitor.callback = nullptr;
+  const PhaseRun run("ceres_phases", request, own);
+  Trial end{first.solution.control, first.solution.durations, {}, first.solution.initial_state};
+  run.Simulate(&end);
+  std::vector<ContactSequence> tried = {end.exact.contacts};
+  SolveReport best = first;
+  int iterations = first.work.iterations;
+  for (const Trial& start : PromisingStarts(run, request, kPromising * run.MeritOf(end))) {
+    if (interrupted || iterations >= options.limits.iterations || tried.size() > kMostSolves) break;
+    if (std::ranges::count(tried, start.exact.contacts) > 0) continue;
+    tried.push_back(start.exact.contacts);
+    SolverOptions from = own;
+    from.guess = ControlGuess{start.control, start.durations};
+    from.limits.iterations = options.limits.iterations - iterations;
+    if (options.monitor.callback) {
+      from.monitor.callback = [&](int iteration, double loss) {
+        return options.monitor.callback(iterations + iteration, loss);
+      };
+    }
+    SolveReport found = SolveByCeresPhases(request, from);
+    iterations += found.work.iterations;
+    interrupted = found.termination == Termination::kInterrupted;
+    if (found.history.losses.empty() || !IsBetter(found, best)) continue;
+    best = std::move(found);
+    best.reason = "from a random start" + (best.reason.empty() ? "" : "; " + best.reason);
+  }
+  if (interrupted || (options.monitor.stop && options.monitor.stop())) best.termination = Termination::kInterrupted;
+  best.guess.loss = best.history.losses.front() = first.guess.loss;
+  best.guess.violation = first.guess.violation;
+  best.work.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  return best;
+}
 
 std::string UnsupportedByModeSearch(const SolveRequest& request) {
   return IsExact(request) ? UnsupportedByCeresPhases(request) : UnsupportedByEventPhases(request);
 }
 
 SolveReport SolveByModeSearch(const SolveRequest& request, const SolverOptions& options) {
-  const bool arcs_can = NonTerminalFeatures(request.scene).empty() && UnsupportedByEventPhases(request).empty();
-  if (!arcs_can) return SearchByPhases(request, options);
   PhaseRun run("mode_search", request, options);
-  if (auto refused = options.sequences.search ? run.MotionFailure() : run.StartFailure()) return *refused;
-  return ModeSearch(&run, request).Search(SequenceFor(options, run.guess()));
+  if (auto refused = run.MotionFailure()) return *refused;
+  return SequenceSearch(&run, DiscSearch(run, request)).Search();
 }
 
 }  // namespace saltus

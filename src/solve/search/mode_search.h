@@ -1,30 +1,10 @@
-// Finds the collision sequence: solves along one after another, and keeps every optimum that really happens.
+// Finds the sequence of impacts of a scene, by a search over sequences (sequence_search.h).
 //
-// It starts from the initial guess, whatever that does, and from SearchOptions::starts motions of its own
-// (search_starts.h). ceres_lm goes down from all of them and gd from the guess; where they end, solves along the
-// sequence found there (as ceres_event) go on. Each solve is re-simulated exactly. If impacts have appeared or
-// vanished, what really happened is transcribed anew and solved next. Then the neighbours of what really happened are
-// queued: an impact inserted, removed or replaced by one of another pair, each started from the motion at hand. The
-// queue is worked off best first, by the exact loss of the motion that a neighbour comes from. A saddle is left, both
-// ways, and what is found beside it solved next. Where a motion that is no optimum is the best, its sequence is mended
-// (sequence_update.h): it may be an optimum with a kink, which just touches or strikes at the final time. Where
-// nothing better is found any more, up to kMostRounds times, or where nothing is left to be tried and some pair does
-// not meet in the best motion, up to kRoundsAtEnd times (with fewer control intervals): others near the best are
-// mended, and ceres_lm goes down from more motions, at random and around the best. At last intervals of the best move
-// to other phases.
-//
-// Rule, by which a search is complete: the queue is empty, or nothing is left in it that comes from a motion below
-// kBound times the best loss. A sequence is tried from kStarts motions at most, and not at all if a lower bound of the
-// loss along it (loss_bound.h) is above that.
-// Limits, which leave a search incomplete: `iterations` solves, kPatience of them without anything better (after the
-// rounds above), SearchOptions, an interrupt, neighbours left out of very many (search_solve.h) and those of motions
-// with kMoreImpacts more impacts than the best one. Motions with more than kMostImpactsOfMotion impacts are cut, and
-// not gone on from.
-//
-// Solves are drawn and looked at in one order, whatever the threads that work them off (task_queue.h), so that the
-// answer is the same for any number of these, and on a busy machine too. SearchOptions::work counts what solves have
-// computed when they are looked at, and a solve may use what was left of it when it was drawn. Only with a limit of
-// time, SearchOptions::seconds, the answer depends on the machine.
+// Where closed arcs take the problem, solves are those of ceres_event, the lower bounds those of loss_bound.h, and
+// descents of ceres_lm and gd from the guess are solved from, too. Bounds, hard terms, running and via costs, a free
+// final time and initial states that are to be found are for solves of ceres_phases; starts are then the best motion of
+// the problem without all that, by the first way, and the sequences of its other optima, too. Motions at random
+// (search_starts.h) are brought near the targets by ceres_lm without bounds and constraints.
 //
 // With SolverOptions::Sequences::search off, only the sequence given (or that of the initial guess) is solved.
 #pragma once
@@ -33,12 +13,20 @@
 
 namespace saltus {
 
-// Losses are the best exact loss after each solve. Never worse than the guess, ceres_lm or gd from it, up to 1e-6 of
-// the loss. Converged: the best motion is an optimum. Problems that arcs do not support are searched by ceres_phases,
-// in a simpler way (phase_search.h). Precondition: UnsupportedByModeSearch() is empty.
+// Losses are the best exact loss after each solve. Converged: the best motion that meets all constraints is an optimum.
+// Never worse than the guess or, unless a limit cuts that solve short, than ceres_phases from it; where closed arcs
+// take the problem, than ceres_lm or gd from it, up to 1e-6 of the loss. Precondition: UnsupportedByModeSearch() is
+// empty.
 SolveReport SolveByModeSearch(const SolveRequest& request, const SolverOptions& options);
 
 // Returns the reason why the solver does not support a request; empty if it does.
 std::string UnsupportedByModeSearch(const SolveRequest& request);
+
+// ceres_phases. Where the control is bounded, it solves again from the best of a few random motions, after some
+// iterations of shooting: those whose loss is near that of the first solution, and whose sequence is another. The
+// report is that of the best solve, constraints first, with `initial_loss` of the initial guess and `seconds` of all
+// solves; `iterations` limits all solves together. It solves once if a guess or a sequence is given, or without
+// SolverOptions::Sequences::search. Precondition: UnsupportedByCeresPhases() is empty.
+SolveReport SolveByPhasesFromStarts(const SolveRequest& request, const SolverOptions& options);
 
 }  // namespace saltus

@@ -2,36 +2,51 @@
 //
 // The solves begin from
 //
-//   the initial guess
+//   the initial guess, and the ends of descents from it
 //   the best motion of a relaxed problem, if there is one, and the sequences of its other optima
 //   motions at random
 //
-// and go on along the neighbours of the best optimum, whose sequences have one event inserted, removed or replaced,
-// each from that optimum, until none is better.
+// and go on along the neighbours of the best motion, whose sequences have one event inserted, removed or replaced, each
+// from that motion, until none is better. The best motion, if it is no optimum, is the start of a thorough solve: it
+// may be an optimum with a kink. Where no neighbour is better and the best motion lacks events that could happen, up to
+// kMostRounds times, more motions at random and as many around the best one are starts, of which those are solved from
+// that a descent brings below kMuchWorse of the best loss. After those, neighbours of other motions below it are tried,
+// best first. At last intervals of the best motion move to other phases.
 //
-// Rule, by which a search is complete: the neighbours of the best optimum, and of those before it, are all tried; or
-// the loss is a sum of squares and zero.
-// Limits, which leave it incomplete: `iterations` solves, SearchOptions, an interrupt, neighbours left out of very
-// many. Solves are looked at in one order, whatever the threads (task_queue.h).
+// Rule, by which a search is complete: the neighbours of all motions found below kMuchWorse of the best loss are tried,
+// except for those whose lower bound is above it; or no motion can have a lower loss.
+// Limits, which leave it incomplete: `iterations` solves, kPatience of them without anything better, most of the work
+// without anything better, SearchOptions, an interrupt, neighbours left out of very many and those of motions with
+// kMoreEvents more events than the best one. Solves are looked at in one order, whatever the threads (task_queue.h).
 //
-// Problem is what is searched (of a scene in phase_search.cc, of a hybrid system in hybrid_search.cc):
+// Problem is what is searched (of a scene in mode_search.cc, of a hybrid system in hybrid_search.cc):
 //
 //   Run                                        as of phase_plan.h
+//   MeritOf(trial), ViolationOf(trial)         as of Run, of any motion that may be returned
 //   SolveRelaxed(options)                      the optima of the relaxed problem
 //   BeginAtRandom(seed, number)                a motion, or nothing if there is nothing to be drawn
+//   BeginAround(trial, seed, number)           a motion near another one, or nothing
 //   NeighboursOf(trial, &left_out)             the sequences
-//   Shoot(options, &trial)                     a motion nearer to the targets, by shooting; the gradients computed
-//   SolveAlong(trial, start, most_loss, options)  one solve from a motion, the start or that of Shoot, which is given
-//   up
+//   Shoot(options, start, &trial)              a motion nearer to the targets, by shooting; the gradients computed
+//   SolveFrom(trial, start, most_loss, options)  one solve from a motion, the start or that of Shoot, which is given up
 //                                              where no optimum has a loss below `most_loss`; this and Shoot are called
 //                                              by several threads at the same time
-//   WorkByRollout(), WorkBySteps()             of a gradient by shooting and of a Jacobian, as SearchOptions::work
+//   WorkByRollout(), WorkOf(start)             of a gradient by shooting and of a Jacobian, as SearchOptions::work
+//   lowest_loss(), LowestAlong(sequence)       lower bounds of the loss, of all motions and along a sequence
+//   LacksEvents(trial)                         whether events that could happen do not in a motion
+//   long_work()                                the work from which on neighbours are left out after most of the work
+//                                              without anything better
+//   starts_of_sequence()                       the motions from which a sequence is tried
 //   AllCostsAreSquares(), LossForUser(loss), OptimumOf(trial), kLeftOut
+//   descends_from_guess()                      whether solves begin at ends of descents from the guess, too
+//   shares_intervals()                         whether intervals are shared between phases at the end
 #pragma once
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <limits>
+#include <map>
 #include <optional>
 #include <string>
 #include <utility>
@@ -44,20 +59,31 @@
 
 namespace saltus {
 
+// How a start is brought nearer to the targets before its solve.
+enum class Shooting { kNone, kLeastSquares, kDescent };
+
 // Where a solve begins: a motion, or what is to be made one by shooting; along a sequence, or that of the motion.
 template <typename Run>
 struct SearchStartOf {
+  // A solve as every other one; one of the best motion, which is worth more; one that shares the intervals of the best
+  // motion better between its phases.
+  enum class Effort { kUsual, kThorough, kShare };
   typename Run::Motion trial;
-  bool shoot = false;
+  Shooting shooting = Shooting::kNone;
   std::optional<std::vector<typename Run::Event>> sequence = std::nullopt;
+  Effort effort = Effort::kUsual;
   bool is_guess = false;  // the start of the user, which is not given up for others
+  bool is_more = false;   // one of more starts, with few intervals, solved from if shooting brings it near the best
 };
 
+// The motion that a solve ends with, if trial.exact.ok.
 template <typename Motion>
 struct FindingOf {
   Motion trial;
   SolveReport report;
-  int shooting = 0;  // gradients of the solve by shooting before it
+  double work = 0;                               // as SearchOptions::work
+  std::optional<Motion> shot = std::nullopt;     // the end of shooting, from which it was solved
+  std::optional<Motion> strayed = std::nullopt;  // the real motion of a solve along a sequence that it does not have
 };
 
 template <typename Run>
@@ -80,8 +106,8 @@ inline int IterationsWithin(double most_work, double each, int iterations) {
 
 inline constexpr double kSameOptimum = 1e-6;  // relative, between losses along one sequence
 
-// Common parts of all searches: their limits, which are `iterations` solves, SearchOptions and an interrupt; and the
-// optima that they have found.
+// The parts of a search that know no motions: its limits, which are `iterations` solves, SearchOptions and an
+// interrupt; and the optima that it has found.
 class LimitedSearch {
  protected:
   // The limits that end a search.
@@ -158,7 +184,14 @@ inline constexpr int kIterationsAlong = 400;    // of a neighbour, which begins 
 inline constexpr int kIterationsShooting = 30;  // from random starts
 inline constexpr size_t kMostNeighbours = 200;  // of a sequence, that are tried
 inline constexpr double kZero = 1e-12;          // of the loss of the initial guess
-inline constexpr double kMuchWorse = 2;         // relative excess of a loss over that of the best optimum
+inline constexpr double kProved = 1e-8;         // relative, between the best loss and a lower bound
+inline constexpr double kMuchWorse = 3;         // times the best loss
+inline constexpr int kMostRounds = 6;           // of more starts
+inline constexpr int kPatience = 150;           // solves after which nothing better is expected
+inline constexpr double kLongWork = 1e6;        // of a search (SearchOptions::work), from which on it may be a long one
+inline constexpr double kLongSolve = 1e5;       // work of a solve in the mean, from which on the search is long, and
+inline constexpr double kPatienceWork = 2.5;    // ends after so many times the work at which it was last better
+inline constexpr size_t kMoreEvents = 4;  // than the best motion has: neighbours of motions with more are left out
 
 }  // namespace sequence_search
 
@@ -166,20 +199,28 @@ template <typename Problem>
 class SequenceSearch : LimitedSearch {
  public:
   SequenceSearch(typename Problem::Run* run, const Problem& problem)
-      : LimitedSearch(run->options()), run_(*run), problem_(problem) {}
+      : LimitedSearch(run->options()), run_(*run), problem_(problem) {
+    searched_.lower_bound = problem.lowest_loss();
+  }
 
   SolveReport Search() {
     searched_.starts = 1;
-    SolveAll({{run_.guess(), false, run_.given_sequence(), /*is_guess=*/true}});
-    if (!options_.sequences.search || IsZero()) return Report();
+    std::vector<Start> from_guess = {{.trial = run_.guess(), .sequence = run_.given_sequence(), .is_guess = true}};
+    for (const Shooting shooting : {Shooting::kLeastSquares, Shooting::kDescent}) {
+      if (!options_.sequences.search || !problem_.descends_from_guess()) continue;
+      from_guess.push_back({.trial = run_.guess(), .shooting = shooting, .is_guess = true});
+    }
+    SolveAll(from_guess);
+    if (!options_.sequences.search || IsLowest()) return Report();
     std::vector<Start> along;
     SolveAll(FirstStarts(&along));
-    SolveAll(std::move(along));
-    while (!end_ && best_ && !IsZero()) {
-      std::vector<Start> neighbours = NeighboursOfBest();
-      if (neighbours.empty()) break;
-      SolveAll(std::move(neighbours));
+    SolveAll(along);
+    while (!end_ && best_ && !IsLowest()) {
+      const std::vector<Start> next = NextStarts();
+      if (next.empty()) break;
+      SolveAll(next);
     }
+    ShareBest();
     return Report();
   }
 
@@ -188,6 +229,7 @@ class SequenceSearch : LimitedSearch {
   using Sequence = std::vector<typename Problem::Run::Event>;
   using Start = SearchStartOf<typename Problem::Run>;
   using Finding = FindingOf<Trial>;
+  using Effort = typename Start::Effort;
 
   // The next start to solve from, the work that the solve may take (SearchOptions::work), and the loss above which an
   // optimum is of no use.
@@ -197,13 +239,20 @@ class SequenceSearch : LimitedSearch {
   };
 
   // Whether no motion can have a lower loss.
+  bool IsLowest() const { return IsZero() || IsProved(); }
   bool IsZero() const {
     const double first = run_.report().history.losses.front();
-    return best_ && std::isfinite(first) && problem_.AllCostsAreSquares() && MeetsConstraints(best_->trial) &&
-           best_->report.termination == Termination::kConverged &&
+    return HasOptimum() && std::isfinite(first) && problem_.AllCostsAreSquares() && MeetsConstraints(best_->trial) &&
            best_->trial.exact.loss <= sequence_search::kZero * first;
   }
+  bool IsProved() const {
+    const double loss = BestLoss();
+    return HasOptimum() && problem_.lowest_loss() > 0 &&
+           loss - problem_.lowest_loss() <= sequence_search::kProved * loss;
+  }
 
+  static bool IsOptimum(const Finding& finding) { return finding.report.termination == Termination::kConverged; }
+  bool HasOptimum() const { return best_ && IsOptimum(*best_); }
   double BestLoss() const { return best_ ? best_->trial.exact.loss : run_.report().history.losses.front(); }
 
   // ----------------------------------------------------------------------------------------------------------- starts
@@ -214,9 +263,9 @@ class SequenceSearch : LimitedSearch {
     for (int i = 0; i < options_.sequences.limits.starts && !Stopped(); ++i) {
       std::optional<Trial> trial = problem_.BeginAtRandom(options_.sequences.limits.seed, i);
       if (!trial) break;
-      starts.push_back({std::move(*trial), true});
+      starts.push_back({.trial = std::move(*trial), .shooting = Shooting::kLeastSquares});
     }
-    searched_.starts = 1 + static_cast<int>(starts.size());
+    searched_.starts += static_cast<int>(starts.size());
     return starts;
   }
 
@@ -233,29 +282,119 @@ class SequenceSearch : LimitedSearch {
     run_.report().work.evaluations += found.evaluations;
     searched_.work += found.work;
     if (!found.best) return;
-    starts->push_back({*found.best, false});
+    starts->push_back({.trial = *found.best});
     // Sequences whose loss without constraints is higher are of no use, as constraints only raise it.
     const bool prunes = best_ && found.is_bound && MeetsConstraints(best_->trial);
     for (auto& [loss, sequence] : found.others) {
       if (along->size() == sequence_search::kMostRelaxedOptima || (prunes && !(loss < BestLoss()))) break;
-      if (sequence != found.best->exact.contacts) along->push_back({*found.best, false, std::move(sequence)});
+      if (sequence != found.best->exact.contacts)
+        along->push_back({.trial = *found.best, .sequence = std::move(sequence)});
     }
   }
 
-  std::vector<Start> NeighboursOfBest() {
-    const Trial& trial = best_->trial;
-    if (!trial.exact.only_impacts || std::count(expanded_.begin(), expanded_.end(), trial.exact.contacts) > 0) {
+  std::vector<Start> NextStarts() {
+    if (!HasOptimum() && best_->trial.exact.only_impacts && IsBelow(best_->trial, mended_)) {
+      mended_ = problem_.MeritOf(best_->trial);
+      return {{.trial = best_->trial, .effort = Effort::kThorough}};
+    }
+    std::vector<Start> next = FromStrayed();
+    if (next.empty()) next = NeighboursOf(best_->trial);
+    if (next.empty()) next = MoreStarts();
+    while (next.empty() && !unexpanded_.empty() && IsOfUse(unexpanded_.begin()->first)) {
+      if (!HasPatience(sequence_search::kLongWork)) break;
+      const auto first = unexpanded_.extract(unexpanded_.begin());
+      next = NeighboursOf(first.mapped());
+    }
+    return next;
+  }
+
+  // Events have appeared or vanished in solves along a sequence: solves along what really happened.
+  std::vector<Start> FromStrayed() {
+    std::vector<Start> starts;
+    std::vector<Sequence> sequences = tried_;
+    for (Trial& trial : std::exchange(strayed_, {})) {
+      const Sequence& events = trial.exact.contacts;
+      if (!IsOfUse(problem_.MeritOf(trial)) || HasEnough(sequences, events)) continue;
+      sequences.push_back(events);
+      starts.push_back({.trial = std::move(trial), .sequence = sequences.back()});
+    }
+    return starts;
+  }
+
+  bool IsOfUse(double merit) const { return merit < sequence_search::kMuchWorse * problem_.MeritOf(best_->trial); }
+  // Whether the search has found nothing better for most of its work, of which there is at least so much.
+  bool IsLong(double least) const {
+    return searched_.work > std::max(least, sequence_search::kPatienceWork * better_work_) &&
+           searched_.work > sequence_search::kLongSolve * solves_;
+  }
+  // Whether nothing better is expected any more; notes why.
+  bool HasPatience(double least_work) {
+    if (IsLong(least_work)) {
+      AddLimitRemark("no improvement in most of the work");
+    } else if (solves_ - last_better_ > sequence_search::kPatience) {
+      AddLimitRemark("no improvement in " + std::to_string(sequence_search::kPatience) + " solves");
+    } else {
+      return true;
+    }
+    return false;
+  }
+
+  // The neighbours of the best motions may all be worse than one to which no start has led yet.
+  std::vector<Start> MoreStarts() {
+    std::vector<Start> starts;
+    const SearchOptions& limits = options_.sequences.limits;
+    const bool fits = drawn_ + 2 * limits.starts + sequence_search::kPatience <= options_.limits.iterations;
+    if (rounds_ == sequence_search::kMostRounds || !fits || IsLong(sequence_search::kLongWork)) return starts;
+    if (!problem_.LacksEvents(best_->trial)) return starts;
+    ++rounds_;
+    for (int i = 0; i < limits.starts && !Stopped(); ++i) {
+      const int number = rounds_ * limits.starts + i;
+      for (std::optional<Trial> trial :
+           {problem_.BeginAtRandom(limits.seed, number), problem_.BeginAround(best_->trial, limits.seed, number)}) {
+        if (!trial) continue;
+        starts.push_back({.trial = std::move(*trial), .shooting = Shooting::kLeastSquares, .is_more = true});
+      }
+    }
+    searched_.starts += static_cast<int>(starts.size());
+    return starts;
+  }
+
+  // Whether a sequence is among those tried as often as it may be.
+  bool HasEnough(const std::vector<Sequence>& tried, const Sequence& sequence) const {
+    return std::count(tried.begin(), tried.end(), sequence) >= problem_.starts_of_sequence();
+  }
+
+  // Those that are not tried enough yet; each sequence is expanded once.
+  std::vector<Start> NeighboursOf(const Trial& trial) {
+    const Sequence& events = trial.exact.contacts;
+    if (!trial.exact.only_impacts || std::count(expanded_.begin(), expanded_.end(), events) > 0) return {};
+    // Where events follow each other again and again, each optimum has a neighbour with one event more.
+    if (events.size() > best_->trial.exact.contacts.size() + sequence_search::kMoreEvents) {
+      AddLimitRemark("neighbours of motions with many more impacts than the best");
       return {};
     }
-    expanded_.push_back(trial.exact.contacts);
+    expanded_.push_back(events);
     bool left_out = false;
     std::vector<Start> starts;
     for (Sequence& next : problem_.NeighboursOf(trial, &left_out)) {
-      if (std::count(tried_.begin(), tried_.end(), next) > 0) continue;
-      starts.push_back({trial, false, std::move(next)});
+      if (HasEnough(tried_, next) || !IsOfUse(problem_.LowestAlong(next))) continue;
+      starts.push_back({.trial = trial, .sequence = std::move(next)});
     }
     if (left_out) AddLimitRemark(Problem::kLeftOut);
     return starts;
+  }
+
+  // The best motion, with the intervals that a share of them between phases by their lengths has left unused.
+  void ShareBest() {
+    if (!problem_.shares_intervals() || end_ || !best_ || IsLowest()) return;
+    const Trial before = best_->trial;
+    if (before.exact.contacts.empty() || !before.exact.only_impacts) return;
+    const bool is_optimum = HasOptimum();
+    SolveAll({{.trial = before, .sequence = before.exact.contacts, .effort = Effort::kShare}});
+    if (is_optimum && best_->trial.exact.loss < before.exact.loss) {
+      std::erase_if(optima_, [&](const LocalOptimum& known) { return known.loss == before.exact.loss; });
+    }
+    if (is_optimum && !HasOptimum() && !end_) SolveAll({{.trial = best_->trial, .effort = Effort::kThorough}});
   }
 
   // ----------------------------------------------------------------------------------------------------------- solves
@@ -265,20 +404,22 @@ class SequenceSearch : LimitedSearch {
     TaskQueue<Draw, Finding> line;
     line.draw = [&]() -> std::optional<Draw> {
       if (Stopped()) EndByStop();
-      if (end_ || next == starts.end() || IsZero()) return std::nullopt;
+      if (end_ || next == starts.end() || IsLowest()) return std::nullopt;
+      const bool is_neighbour = next->sequence && !next->is_guess && next->effort == Effort::kUsual;
+      if (is_neighbour && !HasPatience(problem_.long_work())) return std::nullopt;
       const std::optional<double> most_work = CountDrawn();
       if (!most_work) return std::nullopt;
       const Start& start = *next++;
       return Draw{&start, *most_work, LossLimit(start)};
     };
-    line.solve = [this](const Draw& draw) { return Stopped() ? Finding{} : SolveFrom(draw); };
+    line.solve = [this](const Draw& draw) { return Stopped() ? Finding{} : SolveDrawn(draw); };
     line.look = [this](const Draw& draw, Finding finding) {
       if (finding.report.solver.empty()) return EndByStop();  // not begun
       if (const auto& sequence = draw.start->sequence) {
         tried_.push_back(*sequence);
         AddIfNew(*sequence, &searched_along_);
       }
-      ConsumeResult(std::move(finding));
+      ConsumeResult(*draw.start, std::move(finding));
       if (!run_.Record(BestLoss())) end_ = End::kInterrupt;
     };
     line.RunAll(NumThreads(options_.threads));
@@ -289,64 +430,107 @@ class SequenceSearch : LimitedSearch {
   double LossLimit(const Start& start) const {
     if (!best_ || start.is_guess || !MeetsConstraints(best_->trial)) return INFINITY;
     const double loss = best_->trial.exact.loss;
-    return loss + (start.sequence ? kSameOptimum : sequence_search::kMuchWorse) * std::abs(loss);
+    return loss + (start.sequence ? kSameOptimum : sequence_search::kMuchWorse - 1) * std::abs(loss);
   }
 
-  Finding SolveFrom(const Draw& draw) const {
+  Finding SolveDrawn(const Draw& draw) const {
     const auto& [start_of_draw, most_work, most_loss] = draw;
     const Start& start = *start_of_draw;
     SolverOptions own;
     own.monitor.stop = options_.monitor.stop;
     own.sequences.search = options_.sequences.search;
     Trial from = start.trial;
+    std::optional<Trial> shot;
     int shooting = 0;
-    if (start.shoot) {
-      own.limits.iterations =
-          IterationsWithin(most_work, problem_.WorkByRollout(), sequence_search::kIterationsShooting);
-      shooting = problem_.Shoot(own, &from);
+    if (start.shooting != Shooting::kNone) {
+      const int most = start.is_guess ? options_.limits.iterations : sequence_search::kIterationsShooting;
+      own.limits.iterations = IterationsWithin(most_work, problem_.WorkByRollout(), most);
+      shooting = problem_.Shoot(own, start, &from);
+      shot = from;
     }
-    own.limits.iterations =
-        IterationsWithin(most_work,
-                         problem_.WorkBySteps(),
-                         start.sequence ? sequence_search::kIterationsAlong : sequence_search::kIterationsUpdating);
-    Finding finding = problem_.SolveAlong(std::move(from), start, most_loss, own);
-    finding.shooting = shooting;
+    Finding finding;
+    if (start.is_more && !(from.exact.loss < most_loss)) {
+      finding.report.solver = "mode_search";
+      finding.report.reason = "no motion near the targets was found";
+    } else {
+      own.limits.iterations =
+          IterationsWithin(most_work,
+                           problem_.WorkOf(from, start),
+                           start.sequence ? sequence_search::kIterationsAlong : sequence_search::kIterationsUpdating);
+      finding = problem_.SolveFrom(std::move(from), start, most_loss, own);
+    }
+    finding.report.work.evaluations += shooting;
+    finding.work += shooting * problem_.WorkByRollout();
+    finding.shot = std::move(shot);
     return finding;
   }
 
-  void ConsumeResult(Finding finding) {
+  void ConsumeResult(const Start& start, Finding finding) {
     ++solves_;
-    run_.report().work.evaluations += finding.report.work.evaluations + finding.shooting;
-    searched_.work +=
-        finding.report.work.evaluations * problem_.WorkBySteps() + finding.shooting * problem_.WorkByRollout();
-    if (options_.monitor.status) options_.monitor.status(Status(problem_.LossForUser(BestLoss())));
+    run_.report().work.evaluations += finding.report.work.evaluations;
+    searched_.work += finding.work;
+    ReportStatus(start);
+    if (finding.shot && finding.shot->exact.ok) NoteUnexpanded(*finding.shot);
+    if (finding.strayed) strayed_.push_back(std::move(*finding.strayed));
     const Trial& trial = finding.trial;
     if (!trial.exact.ok) {
       if (!best_ && reason_.empty()) reason_ = finding.report.reason;
       return;
     }
     AddIfNew(trial.exact.contacts, &searched_along_);
-    if (finding.report.termination == Termination::kConverged) {
+    if (IsOptimum(finding)) {
       LocalOptimum found = problem_.OptimumOf(trial);
-      if (!KnownAs(found)) optima_.push_back(std::move(found));
+      LocalOptimum* known = KnownAs(found);
+      if (known == nullptr) {
+        optima_.push_back(std::move(found));
+      } else if (found.loss < known->loss) {
+        *known = std::move(found);
+      }
     }
+    if (!best_ || IsBelow(trial, problem_.MeritOf(best_->trial))) {
+      last_better_ = solves_;
+      better_work_ = searched_.work;
+    }
+    NoteUnexpanded(trial);
     if (!best_ || IsBetter(finding)) best_ = std::move(finding);
   }
 
-  bool MeetsConstraints(const Trial& trial) const { return run_.ViolationOf(trial) <= kFeasible; }
+  // Notes that the neighbours of a motion may be tried; those of the worst motions are forgotten first.
+  void NoteUnexpanded(const Trial& trial) {
+    const double merit = problem_.MeritOf(trial);
+    if (!trial.exact.only_impacts || !std::isfinite(merit)) return;
+    unexpanded_.emplace(merit, trial);
+    const size_t bytes = sizeof(Trial) + (trial.control.size() + trial.durations.size()) * sizeof(double);
+    while (unexpanded_.size() > 1 && unexpanded_.size() * bytes > options_.sequences.limits.memory / 2) {
+      unexpanded_.erase(std::prev(unexpanded_.end()));
+      AddLimitRemark("the limit of memory");
+    }
+  }
+
+  void ReportStatus(const Start& start) const {
+    if (!options_.monitor.status) return;
+    options_.monitor.status(Status(problem_.LossForUser(BestLoss())) + ", the last " +
+                            (start.sequence ? "along " + run_.NameOf(*start.sequence) : "from another start"));
+  }
+
+  bool MeetsConstraints(const Trial& trial) const { return problem_.ViolationOf(trial) <= kFeasible; }
 
   static void AddIfNew(const Sequence& sequence, std::vector<Sequence>* sequences) {
     if (std::count(sequences->begin(), sequences->end(), sequence) == 0) sequences->push_back(sequence);
+  }
+
+  bool IsBelow(const Trial& trial, double merit) const {
+    return problem_.MeritOf(trial) < (std::isfinite(merit) ? merit - kSameOptimum * std::abs(merit) : merit);
   }
 
   // Whether a finding is better; optima that meet all constraints come first.
   bool IsBetter(const Finding& finding) const {
     const bool mine = MeetsConstraints(finding.trial), other = MeetsConstraints(best_->trial);
     if (mine != other) return mine;
-    const double merit = run_.MeritOf(finding.trial), least = run_.MeritOf(best_->trial);
-    if (merit < least - kSameOptimum * std::abs(least)) return true;
-    const auto converged = [](const Finding& f) { return f.report.termination == Termination::kConverged; };
-    return merit < least + kSameOptimum * std::abs(least) && converged(finding) && !converged(*best_);
+    const double merit = problem_.MeritOf(finding.trial), least = problem_.MeritOf(best_->trial);
+    if (IsBelow(finding.trial, least)) return true;
+    if (!IsOptimum(finding)) return false;
+    return HasOptimum() ? merit < least : merit < least + kSameOptimum * std::abs(least);
   }
 
   // -------------------------------------------------------------------------------------------------------------- end
@@ -366,15 +550,20 @@ class SequenceSearch : LimitedSearch {
       return run_.Finish(guess, guess.exact.loss, none, with_limits(reason_));
     }
     SolveReport& best = best_->report;
-    const bool converged = best.termination == Termination::kConverged;
+    const bool converged = HasOptimum();
     run_.report().certificate = std::move(best.certificate);
     if (auto& certificate = run_.report().certificate; certificate && converged) {
       certificate->sequences_searched = searched_.sequences;
-      if (options_.sequences.search && end_ != End::kInterrupt) {
+      if (options_.sequences.search && end_ != End::kInterrupt && !certificate->IsSaddle()) {
         certificate->scope = Certificate::Scope::kBestOfSearched;
+      }
+      if (certificate->verdict == Certificate::Verdict::kStationary && IsProved()) {
+        certificate->verdict = Certificate::Verdict::kGlobal;
       }
     }
     Termination end = best.termination;
+    const bool of_solve = end == Termination::kIterationLimit || end == Termination::kNotApplicable;
+    if (of_solve && options_.sequences.search) end = Termination::kNoProgress;
     if (end_ == End::kInterrupt) end = Termination::kInterrupted;
     if (end_ == End::kIterations) end = Termination::kIterationLimit;
     const Trial trial = best_->trial;
@@ -388,10 +577,15 @@ class SequenceSearch : LimitedSearch {
   typename Problem::Run& run_;
   const Problem& problem_;
   std::optional<Finding> best_;
-  std::vector<Sequence> tried_;           // that were given to a solve
-  std::vector<Sequence> searched_along_;  // these, and those that solves have ended with
-  std::vector<Sequence> expanded_;        // whose neighbours are tried
-  std::string reason_;                    // why nothing was found
+  std::multimap<double, Trial> unexpanded_;  // by merit: whose neighbours may be tried
+  std::vector<Trial> strayed_;               // to be solved along their own sequences
+  std::vector<Sequence> tried_;              // that were given to a solve
+  std::vector<Sequence> searched_along_;     // these, and those that solves have ended with
+  std::vector<Sequence> expanded_;           // whose neighbours are tried
+  std::string reason_;                       // why nothing was found
+  double mended_ = INFINITY;                 // merit of the last motion that was the start of a thorough solve
+  double better_work_ = 0;                   // done when the search was last better
+  int last_better_ = 0, rounds_ = 0;
 };
 
 }  // namespace saltus

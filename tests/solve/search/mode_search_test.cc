@@ -103,7 +103,8 @@ TEST(ModeSearch, ReportsWhatItHasWhenInterrupted) {
   EXPECT_FALSE(report.certificate && report.certificate->scope == Certificate::Scope::kBestOfSearched);
 }
 
-// The first starts lead no lower than 0.04966; from 32 others, of another seed, the search ends at 0.0414858.
+// The first starts lead no lower than 0.04966; from 32 others, of another seed, the search ends at 0.0414858. One round
+// of more starts is enough.
 TEST(ModeSearch, GoesOnFromMoreStartsWhereItWouldStop) {
   Scene scene = ControlProblem(122);
   scene.steps = 120;
@@ -112,7 +113,7 @@ TEST(ModeSearch, GoesOnFromMoreStartsWhereItWouldStop) {
   const SolveReport report = Solve("mode_search", {scene, "event"}, options);
   EXPECT_LT(report.solution.loss, 0.041486);
   ASSERT_TRUE(report.searched);
-  EXPECT_GT(report.searched->starts, 1 + 7 * options.sequences.limits.starts);
+  EXPECT_GT(report.searched->starts, 1 + 2 * options.sequences.limits.starts);
 }
 
 // No neighbour of the optima that the first starts lead to is left, and none of them strikes the target: 1.2486. From
