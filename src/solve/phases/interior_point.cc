@@ -46,7 +46,7 @@ using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowM
 constexpr double kNoBound = 2e19;   // IPOPT takes a bound beyond 1e19 for none
 constexpr double kWidth = 1e-6;     // of differences, relative to the size of a variable
 constexpr double kRelaxed = 1e-13;  // of bounds: controls that go back to them hardly move, and keep constraints
-constexpr double kExtreme = 1e3;  // the size of a variable, or its inverse
+constexpr double kExtreme = 1e3;    // the size of a variable, or its inverse
 constexpr double kInactive = 1e-8;  // of the largest multiplier: constraints with less add nothing to the Hessian
 
 // The problem as IPOPT asks for it. Variables are the free components of the parameter blocks, in the order in which
@@ -454,8 +454,8 @@ AugmentedLagrangian::Summary MinimizeByInteriorPoint(const std::vector<Constrain
     const int rest = options.iterations - summary.iterations;
     if (takes_all_sizes) nlp->TakeAllSizes();
     application->Options()->SetIntegerValue("max_iter", takes_all_sizes ? rest : (rest + 1) / 2);
-    application->Options()->SetStringValue("nlp_scaling_method",
-                                           takes_all_sizes || nlp->HasExtremeSizes() ? "user-scaling" : "gradient-based");
+    application->Options()->SetStringValue(
+        "nlp_scaling_method", takes_all_sizes || nlp->HasExtremeSizes() ? "user-scaling" : "gradient-based");
     if (application->Initialize("") != Ipopt::Solve_Succeeded)  // reads no file of options
       return summary;
     application->OptimizeTNLP(Ipopt::SmartPtr<Ipopt::TNLP>(GetRawPtr(nlp)));

@@ -340,9 +340,9 @@ TEST(OptimalControl, RecogniseAGuessAtTheOptimum) {
 TEST(OptimalControl, MeetsSensitiveConstraintsWithControlsAtTheirBounds) {
   if (!HasInteriorPoint()) GTEST_SKIP() << "this build has no IPOPT";
   HybridProblem problem = Problem<Quadrotor, 6, 2>({0, 0, 0, 0, 0, 0}, 2, 4.905, 10);
-  problem.terms = {MakeDurationCost(1),
-                   StateRows<6, 6>(
-                       Timing::kEnd, Role::kEquality, {0, 1, 2, 3, 4, 5}, {1, 1, 1, 1, 1, 1}, {3, 1, 0, 0, 0, 0})};
+  problem.terms = {
+      MakeDurationCost(1),
+      StateRows<6, 6>(Timing::kEnd, Role::kEquality, {0, 1, 2, 3, 4, 5}, {1, 1, 1, 1, 1, 1}, {3, 1, 0, 0, 0, 0})};
   problem.free.duration = true;
   problem.free.duration_min = 0.5;
   problem.free.duration_max = 6;
@@ -400,14 +400,14 @@ struct Circular {
 template <bool kInMetres>
 double RadiusOfTransfer() {
   using Craft = Spacecraft<kInMetres>;
-  HybridProblem problem = Problem<Craft, 4, 1>(
-      {Craft::kLength, 0, Craft::kLength / Craft::kTime, 1}, 3.32 * Craft::kTime, 0, 20);
-  problem.terms = {StateRows<1, 4>(Timing::kEnd, Role::kValue, {0}, {-1}, {0}),
-                   {.at = Timing::kEnd,
-                    .role = Role::kEquality,
-                    .with_state = true,
-                    .function = std::make_shared<ceres::AutoDiffCostFunction<Circular<kInMetres>, 2, 4>>(
-                        new Circular<kInMetres>)}};
+  HybridProblem problem =
+      Problem<Craft, 4, 1>({Craft::kLength, 0, Craft::kLength / Craft::kTime, 1}, 3.32 * Craft::kTime, 0, 20);
+  problem.terms = {
+      StateRows<1, 4>(Timing::kEnd, Role::kValue, {0}, {-1}, {0}),
+      {.at = Timing::kEnd,
+       .role = Role::kEquality,
+       .with_state = true,
+       .function = std::make_shared<ceres::AutoDiffCostFunction<Circular<kInMetres>, 2, 4>>(new Circular<kInMetres>)}};
   const SolveReport report = Solve("auto", problem, {.limits = {.iterations = 1000}});
   EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
   return -report.solution.loss / Craft::kLength;
