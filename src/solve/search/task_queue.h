@@ -1,8 +1,8 @@
 // Tasks that several threads work off, with the outcome of one.
 //
 // A task is drawn, solved by any thread, and looked at. Drawing and looking are for the calling thread, and their order
-// depends on the tasks alone: the oldest is looked at first, but a long one as if it had been drawn `ahead` others
-// later, so that these go on beside it. After each look so many are drawn that kMostUnderWay short ones are under way.
+// depends on the tasks alone: the oldest is looked at first, and after each look so many are drawn that kMostUnderWay
+// are under way.
 #pragma once
 
 #include <condition_variable>
@@ -17,14 +17,13 @@
 
 namespace saltus {
 
-inline constexpr int kMostUnderWay = 8;
+inline constexpr std::size_t kMostUnderWay = 8;
 
 template <typename Task, typename Finding>
 struct TaskQueue {
-  std::function<std::optional<Task>()> draw;        // the next; nothing if there is none until another is looked at
-  std::function<Finding(const Task&)> solve;        // called by several threads at the same time
-  std::function<void(const Task&, Finding)> look;   // at what the task has found
-  std::function<int(const Task&)> ahead = nullptr;  // of long tasks; 0 and, without it, all are short
+  std::function<std::optional<Task>()> draw;       // the next; nothing if there is none until another is looked at
+  std::function<Finding(const Task&)> solve;       // called by several threads at the same time
+  std::function<void(const Task&, Finding)> look;  // at what the task has found
 
   // Works until no task runs and none is drawn. An exception of `solve` is thrown here, where its outcome would be
   // consumed. Precondition: threads > 0; with one thread the caller does all work.
@@ -34,8 +33,6 @@ struct TaskQueue {
   enum class State { kWaiting, kBegun, kSolved };
   struct Entry {
     Task task;
-    long long due = 0;
-    bool is_long = false;
     State state = State::kWaiting;
     Finding finding = {};
     std::exception_ptr thrown = nullptr;
@@ -60,22 +57,17 @@ struct TaskQueue {
     }
   };
 
-  void Fill(Shared* shared, long long* drawn, int* short_ones) const;
+  void Fill(Shared* shared) const;
   void Help(Shared* shared) const;
 };
 
 template <typename Task, typename Finding>
-void TaskQueue<Task, Finding>::Fill(Shared* shared, long long* drawn, int* short_ones) const {
-  while (*short_ones < kMostUnderWay) {
+void TaskQueue<Task, Finding>::Fill(Shared* shared) const {
+  while (shared->entries.size() < kMostUnderWay) {  // which this thread alone changes
     std::optional<Task> task = draw();
     if (!task) return;
-    const int wait = ahead ? ahead(*task) : 0;
     const std::lock_guard lock(shared->mutex);
-    const long long due = (*drawn)++ + wait;
-    auto at = shared->entries.end();
-    while (at != shared->entries.begin() && std::prev(at)->due > due) --at;
-    shared->entries.insert(at, Entry{std::move(*task), due, wait > 0});
-    if (wait == 0) ++*short_ones;
+    shared->entries.push_back({std::move(*task)});
     shared->changed.notify_all();
   }
 }
@@ -107,11 +99,9 @@ void TaskQueue<Task, Finding>::Help(Shared* shared) const {
 template <typename Task, typename Finding>
 void TaskQueue<Task, Finding>::RunAll(int threads) {
   Shared shared;
-  long long drawn = 0;
-  int short_ones = 0;
   Helpers helpers{&shared};
   for (int i = 0; threads > 1 && i < threads; ++i) helpers.threads.emplace_back([&] { Help(&shared); });
-  for (Fill(&shared, &drawn, &short_ones); !shared.entries.empty(); Fill(&shared, &drawn, &short_ones)) {
+  for (Fill(&shared); !shared.entries.empty(); Fill(&shared)) {
     std::list<Entry> first;
     if (helpers.threads.empty()) {
       Entry& entry = shared.entries.front();
@@ -123,7 +113,6 @@ void TaskQueue<Task, Finding>::RunAll(int threads) {
       first.splice(first.begin(), shared.entries, shared.entries.begin());
     }
     if (first.front().thrown) std::rethrow_exception(first.front().thrown);
-    if (!first.front().is_long) --short_ones;
     look(first.front().task, std::move(first.front().finding));
   }
 }
