@@ -223,9 +223,10 @@ class DiscSearch {
   // Whatever the constraints.
   int Shoot(SolverOptions options, const Start& start, Trial* trial) const {
     SolveRequest relaxed{Relaxed(BeginningAs(*trial, scene_)), request_.contact};
-    if (start.is_more) relaxed.scene.steps /= IntervalsInOne(scene_.steps);
+    const bool is_coarse = start.is_more && scene_.control_width() > 0;
+    if (is_coarse) relaxed.scene.steps /= IntervalsInOne(scene_.steps);
     const int gradients = Shoot(relaxed, options, start.shooting, trial);
-    if (start.is_more) {
+    if (is_coarse) {
       trial->control = MeanOverSteps({trial->control, {}}, scene_.control_width(), scene_.steps);
       trial->durations.assign(scene_.steps, scene_.dt());
       Simulate(scene_, trial);

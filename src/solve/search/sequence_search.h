@@ -364,7 +364,7 @@ class SequenceSearch : LimitedSearch {
     return std::count(tried.begin(), tried.end(), sequence) >= problem_.starts_of_sequence();
   }
 
-  // Those that are not tried enough yet; each sequence is expanded once.
+  // Returns starts along neighbours that are not tried enough yet; each sequence is expanded once.
   std::vector<Start> NeighboursOf(const Trial& trial) {
     const Sequence& events = trial.exact.contacts;
     if (!trial.exact.only_impacts || std::count(expanded_.begin(), expanded_.end(), events) > 0) return {};
