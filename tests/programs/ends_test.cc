@@ -219,7 +219,7 @@ TEST(Ends, AnAuditWithoutAGradientSaysWhy) {
 TEST(Ends, TheLogOfCeresIsOff) {
   const Outcome outcome = RunProgram(
       "saltus_solve --progress=none --contact=event --solver=mode_search --steps=24 "
-      "--iterations=20 --search_seconds=0" +
+      "--iterations=15 --search_seconds=0" +
       SceneFlag("two_balls"));
   EXPECT_THAT(outcome.errors, testing::StartsWith("no answer from 1 of 1 runs"));
 }
