@@ -52,6 +52,17 @@ def bundle(files, folder):
         licence = pathlib.Path(f"/usr/share/doc/{package}/copyright")
         if licence.exists():
             shutil.copyfile(licence, folder / f"{package}.copyright")
+        find_neighbours(folder / name)
+
+
+def find_neighbours(library):
+    """Has a library look for others beside itself where it has a folder of this machine for that, as those of Open MPI have."""
+    listed = subprocess.run(["readelf", "-d", library], capture_output=True, text=True, check=True).stdout
+    if not re.search(r"(RUNPATH|RPATH).*\[(?!\$ORIGIN\])", listed):
+        return
+    if not shutil.which("patchelf"):
+        raise RuntimeError(f"the wheel needs patchelf to change where {library.name} looks for libraries; install the package patchelf")
+    subprocess.run(["patchelf", "--set-rpath", "$ORIGIN", library], check=True)
 
 
 class CMakeBuild(build_ext):

@@ -25,4 +25,10 @@ problem = saltus.HybridProblem(ball, mode="flight", initial=[1.3, 0.4], paramete
 times = [time for time, *_ in saltus.rollout(problem).events]
 impact = (0.4 + (0.4**2 + 2 * 9.81 * 1.3) ** 0.5) / 9.81  # 1.3 + 0.4 t - 9.81 t^2 / 2 = 0
 assert abs(times[0] - impact) < 1e-12, times
+
+line = saltus.HybridSystem(states={"m": ["x", "v"]}, controls=["u"], flow={"m": lambda t, x, u, p: [x[1], u[0]]})
+problem = saltus.HybridProblem(line, mode="m", initial=[1, 0], duration=3.0, control=[[0.0]] * 20)
+problem.costs = [saltus.final_time(1), saltus.residuals(lambda x: [x[0], x[1]], role="equality")]
+fastest = saltus.solve(problem, optimize=["control", "duration"], bounds={"u": (-1, 1), "duration": (0.5, 10)})
+assert fastest.termination == "converged" and abs(fastest.duration - 2) < 1e-6, fastest.reason  # by IPOPT
 print(verdicts, f"{run.exact_loss:.9f}", times)

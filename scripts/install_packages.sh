@@ -15,7 +15,7 @@ packages=(
   python3-nbclient python3-ipykernel # the example notebook
   python3-jsonschema python3-sphinx codespell # the tests of schemas/, docs/ and docstrings
   universal-ctags # the test of names that are defined twice
-  dpkg-dev python3-pip python3-setuptools python3-wheel # the test of packages
+  dpkg-dev patchelf python3-pip python3-setuptools python3-wheel # the test of packages
   "$@"
 )
 
