@@ -164,7 +164,8 @@ class HybridSearch {
       motion->parameters = report.solution.parameters;
       if (!report.solution.durations.empty()) motion->durations = report.solution.durations;
     }
-    if (start.is_more) run_.Simulate(motion);
+    // By a run of its own: several threads are here, and a run has one simulator.
+    if (start.is_more) *motion = HybridPhaseRun("mode_search", problem_, options, std::move(*motion)).guess();
     return report.work.evaluations;
   }
 
