@@ -34,7 +34,8 @@ py::dict Gradient(const Scene& scene, const py::object& contact_name, const std:
   ModelGradient gradient;
   Computation computation;
   computation.RunOrThrow([&] {
-    gradient = ComputeGradient(contact, scene, arithmetic, computation.stop(), control.is_none() ? nullptr : &given);
+    gradient = ComputeGradient(
+        contact, scene, arithmetic, computation.stop(), control.is_none() ? nullptr : &given, /*with_grazes=*/true);
   });
   if (!gradient.ok()) throw std::runtime_error(contact.name() + ": " + gradient.reason);
   WarnOfUnresolved(gradient.unresolved_steps, gradient.num_steps);

@@ -219,3 +219,16 @@ def test_random_systems_that_slide_agree_with_another_method():
     campaign = load_campaign("random_sliding_systems")
     kinds = [campaign.compare(seed)[0] for seed in (0, 2, 3, 5, 46)]
     assert kinds == ["agrees, with a remark", "agrees", "agrees", "agrees, with a remark", "agrees"]
+
+
+@pytest.mark.parametrize("frictions", [(0.5,), (0.5, 0.5), (0.3, 0.6), (0.4, 0.9)])
+def test_blocks_that_stop_at_a_jump_of_the_control_start_again_at_the_next(frictions):
+    """Rounding decides whether each stops before the control jumps or behind: the motion is the same to rounding."""
+    n = len(frictions)
+    flow = lambda x, u, p: [*x[n:], *[u[0] - p[i] * np.sign(x[n + i]) for i in range(n)]]
+    system = one_mode(flow, [*[f"x{i}" for i in range(n)], *[f"v{i}" for i in range(n)]], [f"f{i}" for i in range(n)], controls=["u"])
+    f = np.array(frictions)
+    motion = saltus.rollout(saltus.HybridProblem(system, mode="m", initial=[*[0] * n, *(1 + f)], parameters=frictions, duration=3.0,
+                                                 control=[[-1], [0], [1]]))
+    assert_allclose(motion.final[:n], (1 + f) / 2 + (1 - f) / 2, rtol=1e-12)
+    assert_allclose(motion.final[n:], 1 - f, rtol=1e-12)

@@ -544,3 +544,39 @@ def test_a_comparator_most_of_whose_events_hide_from_few_steps_is_followed():
     found = saltus.rollout(saltus.HybridProblem(comparator, mode="on", initial=[0], parameters=[duty], duration=1.0))
     assert len(found.events) == len(times)
     assert_allclose(found.final[0], y, atol=1e-11)
+
+
+@pytest.mark.parametrize("speed", [2e-6, 1e-4, 1e-2])
+@pytest.mark.parametrize("spin", [(40.0, -60.0), (-20.0, 90.0)])
+def test_a_ball_on_cloth_grips_where_its_slip_ends(speed, spin):
+    """The friction has the direction of the slip, which turns round within any step behind the guard: below this speed the ball
+    rolls. Slip and spin have a closed form, as the direction does not change."""
+    radius, gravity, mu = 0.028575, 9.81, 0.2
+
+    def slide(x, p):
+        slip = np.array([x[2] - radius * x[5], x[3] + radius * x[4]])
+        ax, ay = [-p[0] * gravity * s / np.hypot(slip[0], slip[1]) for s in slip]
+        return [x[2], x[3], ax, ay, 2.5 / radius * ay, -2.5 / radius * ax]
+
+    def roll(x, p):
+        ax, ay = [-p[1] * gravity * v / np.hypot(x[2], x[3]) for v in (x[2], x[3])]
+        return [x[2], x[3], ax, ay, -ay / radius, ax / radius]
+
+    names = ["x", "y", "vx", "vy", "wx", "wy"]
+    ball = saltus.HybridSystem(
+        states={"slide": names, "roll": names}, parameters=["mu_slide", "mu_roll"], flow={"slide": slide, "roll": roll},
+        guards={"slide": {"grip": lambda x: (x[2] - radius * x[5])**2 + (x[3] + radius * x[4])**2 - (speed / 2)**2}},
+        resets={"slide": {"grip": lambda x: ("roll", [x[0], x[1], x[2], x[3], -x[3] / radius, x[2] / radius])}})
+    start = np.array([0, 0, 3, 0, *spin])
+    motion = saltus.rollout(saltus.HybridProblem(ball, mode="slide", initial=start, parameters=[mu, 0.01], duration=2.0))
+    slip = np.array([start[2] - radius * start[5], start[3] + radius * start[4]])
+    direction = slip / np.linalg.norm(slip)
+    grip = (np.linalg.norm(slip) - speed / 2) / (3.5 * mu * gravity)
+    assert [event[1:] for event in motion.events] == [("slide", "grip", "roll")]
+    assert motion.events[0][0] == pytest.approx(grip, rel=1e-9)
+    v = start[2:4] - mu * gravity * grip * direction
+    after = 2.0 - grip
+    along = v / np.linalg.norm(v)
+    assert_allclose(motion.final[2:4], v - 0.01 * gravity * after * along, rtol=1e-8, atol=1e-9)
+    expected = start[2:4] * grip - 0.5 * mu * gravity * grip**2 * direction + v * after - 0.005 * gravity * after**2 * along
+    assert_allclose(motion.final[:2], expected, rtol=1e-8, atol=1e-9)

@@ -1,6 +1,7 @@
 """The remarks on a result are the same in programs and in Python."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -382,3 +383,37 @@ def test_a_gradient_at_a_graze_says_of_which_motions_it_is():
 
     assert texts(3.999) == texts(4.001) == []
     assert texts(4) == ["ball grazes ceiling at t = 0.5: the derivatives are those of motions that pass by, and not of those that hit"]
+
+
+def _pass(kind, steps, miss):
+    """A ball that passes exactly tangent to something at t = 0.4 or 0.5, and that far off it in addition."""
+    ball = disc("ball", (-0.6, 0.2 + miss), (1.5, 0), radius=0.1)
+    scene = {"name": "pass", "duration": 1.0, "steps": steps, "contact": {"restitution": 0.8}, "optimize": "velocity", "bodies": [ball],
+             "objective": {"terminal": [{"body": "ball", "quantity": "position", "target": [0, 2], "weight": 1}]}}
+    if kind == "disc":
+        scene["bodies"] += [disc("other", (0.2, 0), (-0.5, 0), radius=0.1)]
+    if kind == "post":
+        scene["bodies"] += [{"name": "post", "radius": 0.1, "fixed": True, "position": [0, 0]}]
+    if kind == "end":
+        scene["segments"] = [{"name": "wall", "from": [0, 0.1], "to": [0, -1]}]
+    if kind == "ceiling":
+        scene["gravity"] = [0, -8]
+        scene["bodies"] = [disc("ball", (0, 0), (1, 4), radius=0.25)]
+        scene["planes"] = [{"name": "ceiling", "point": [0, 1.25 + miss], "normal": [0, -1]}]
+    if kind == "after a bounce":  # at (0.1, 0), from where x - y = 0.1
+        ball["position"], ball["velocity"] = [-0.6, 0.7], [1, -1]
+        side = 0.2 * math.sqrt(0.5) + miss
+        scene["planes"] = [{"name": "floor", "point": [0, -0.1], "normal": [0, 1]}]
+        scene["contact"] = {"restitution": 1}
+        scene["bodies"] += [{"name": "post", "radius": 0.1, "fixed": True, "position": [0.35 + side, 0.25 - side]}]
+    return saltus.Scene(scene)
+
+
+@pytest.mark.parametrize("kind, other, time", [("disc", "other", 0.4), ("post", "post", 0.4), ("end", "wall.a", 0.4),
+                                               ("ceiling", "ceiling", 0.5), ("after a bounce", "post", 0.95)])
+def test_a_graze_has_its_remark_whatever_the_number_of_steps(kind, other, time):
+    for steps in range(10, 201):
+        texts = [remark["text"] for remark in saltus.loss_and_gradient(_pass(kind, steps, 0))["remarks"]]
+        assert texts == [f"ball grazes {other} at t = {time:g}: the derivatives are those of motions that pass by, and not of those that hit"]
+        if steps % 20 == 0:
+            assert all(saltus.loss_and_gradient(_pass(kind, steps, miss))["remarks"] == [] for miss in (1e-6, -1e-6, 1e-3))

@@ -191,7 +191,7 @@ GradientError CompareGradients(const ModelGradient& gradient, const ModelGradien
 
 std::optional<ModelGradient> ComputeExactGradient(const Scene& scene, const StopRequest& stop) {
   if (const ModelTraits* model = ExactModel()) {
-    ModelGradient exact = ComputeGradient(model->name, scene, Precision::kDouble, stop);
+    ModelGradient exact = ComputeGradient(model->name, scene, Precision::kDouble, stop, nullptr, /*with_grazes=*/true);
     if (exact.ok() && exact.unresolved_steps == 0) {
       if (!exact.ambiguous.empty()) {
         const ExactRun run = SimulateExactly(scene, InitialState(scene), InitialControl(scene, scene.steps), {}, stop);

@@ -70,8 +70,7 @@ Remarks RemarksOn(const Scene& scene, const ModelGradient& gradient) {
   Remarks remarks;
   AddFallback(gradient.unresolved_steps, gradient.num_steps, &remarks);
   AddTie(gradient.ambiguous, gradient.spread, &remarks);
-  for (const Event& event : gradient.events) {
-    if (!event.grazes) continue;
+  for (const Event& event : gradient.grazes) {
     remarks.push_back({"derivative",
                        event.a + " grazes " + event.b + " at t = " + ToText(event.time, 6) +
                            ": the derivatives are those of motions that pass by, and not of those that hit"});

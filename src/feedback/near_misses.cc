@@ -3,39 +3,21 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <limits>
 #include <string>
 #include <utility>
 
 #include "saltus/scene/walls.h"
+#include "simulate/interval_gaps.h"
 
 namespace saltus {
 namespace {
 
-constexpr double kTouching = 1e-9;  // of a radius: the gap of discs that touch
 constexpr double kAtRest = 1e-9;    // of the speed of a disc: the rate of a gap that does not change
 constexpr double kSameTime = 1e-6;  // of the length of an interval: events at the same time
-constexpr int kBisections = 60;
-constexpr double kNever = std::numeric_limits<double>::infinity();
+constexpr double kNever = IntervalGaps::kNever;
 
-// Two discs, or a disc and a part of a wall.
-struct Pair {
-  int a = 0, b = 0;
-  const WallPart* wall = nullptr;
-
-  std::array<int, 2> discs() const { return {a, wall == nullptr ? b : a}; }
-};
-
-struct Gap {
-  double value = 0, rate = 0;
-  Vec2d normal = Vec2d::Zero();  // towards disc a
-};
-
-// The state of all discs at a time of the interval, from which they fly on or back, and its derivatives by the state at
-// the beginning of the interval and by its control.
-struct Start {
-  double time = 0;
-  std::vector<double> x;
+// A flight with the derivatives of its state by the state at the beginning of the interval and by its control.
+struct Start : Flight {
   Eigen::MatrixXd A, B;
 };
 
@@ -59,41 +41,23 @@ class IntervalEvents {
         begin_(motion[k].begin),
         length_(motion[k].length),
         interval_(interval),
-        first_(scene_.bodies.size(), kNever),
-        last_(scene_.bodies.size(), 0.0),
-        accelerations_(scene_.bodies.size(), Vec2d::Zero()) {
-    const Eigen::Index n = interval->A.rows();
-    at_begin_ = {0, motion.State(k), Eigen::MatrixXd::Identity(n, n), Eigen::MatrixXd::Zero(n, interval->B.cols())};
-    at_end_ = {length_, motion.State(k + 1), interval->A, interval->B};
+        at_begin_{{0, motion.State(k)},
+                  Eigen::MatrixXd::Identity(interval->A.rows(), interval->A.rows()),
+                  Eigen::MatrixXd::Zero(interval->B.rows(), interval->B.cols())},
+        at_end_{{length_, motion.State(k + 1)}, interval->A, interval->B},
+        gaps_(scene_, walls_, touches_, force, at_begin_, at_end_) {
     for (int later = k + 1; later < motion.size(); ++later) ends_ = ends_ && motion[later].simulator == nullptr;
-    for (const Touch& touch : touches_) {
-      if (touch.time < 0 || touch.kind == ContactKind::kSustained) continue;
-      for (const int i : PairOf(touch.candidate).discs()) {
-        first_[i] = std::min(first_[i], touch.time);
-        last_[i] = std::max(last_[i], touch.time);
-      }
-    }
-    for (int i = 0; i < scene_.num_bodies(); ++i) {
-      const Body& body = scene_.bodies[i];
-      if (!body.fixed) accelerations_[i] = scene_.gravity + Vec2d(force[2 * i], force[2 * i + 1]) / body.mass;
-      const bool held = std::ranges::any_of(touches_, [&](const Touch& touch) {
-        const std::array<int, 2> discs = PairOf(touch.candidate).discs();
-        return touch.kind == ContactKind::kSustained && (discs[0] == i || discs[1] == i);
-      });
-      if (held && first_[i] == kNever)
-        accelerations_[i] = (Velocity(at_end_, i, length_) - Velocity(at_begin_, i, 0)) / length_;
-    }
   }
 
   void AddEvent(const SceneEvent& at) {
     const Touch& touch = touches_[at.touch];
     if (touch.time < 0) return;
-    const Pair pair = PairOf(touch.candidate);
+    const GapPair pair = gaps_.PairOf(touch.candidate);
     LinearEvent event{.time = begin_ + touch.time, .name = NameOf(pair), .discs = at.discs};
     const Start start = StartBefore(touch);
-    const Gap gap = GapAt(start, pair, touch.time);
-    const double speed = std::max(Velocity(start, pair.discs()[0], touch.time).norm(),
-                                  Velocity(start, pair.discs()[1], touch.time).norm());
+    const Gap gap = gaps_.At(start, pair, touch.time);
+    const double speed = std::max(gaps_.Velocity(start, pair.discs()[0], touch.time).norm(),
+                                  gaps_.Velocity(start, pair.discs()[1], touch.time).norm());
     if (gap.rate < -kAtRest * speed) {
       const Change change = ChangeOfGap(start, pair, touch.time, gap.normal);
       event.by_state = -change.by_state / gap.rate;
@@ -122,16 +86,15 @@ class IntervalEvents {
       }
     }
     for (const Touch& touch : touches_) {
-      const Pair pair = PairOf(touch.candidate);
-      if (touch.time < 0 || touch.time > std::min(first_[pair.discs()[0]], first_[pair.discs()[1]])) continue;
+      const GapPair pair = gaps_.PairOf(touch.candidate);
+      if (touch.time < 0 || touch.time > gaps_.First(pair)) continue;
       if (touch.kind == ContactKind::kGrazing) AddGap(at_begin_, pair, touch.time, nullptr);
       if (touch.kind == ContactKind::kImpact && pair.wall == nullptr) AddOverlaps(pair);
     }
   }
 
  private:
-  Pair PairOf(const Candidate& c) const { return {c.a, c.b, c.plane ? &walls_[c.b] : nullptr}; }
-  std::string NameOf(const Pair& pair) const {
+  std::string NameOf(const GapPair& pair) const {
     return scene_.bodies[pair.a].name + " and " + (pair.wall != nullptr ? pair.wall->name : scene_.bodies[pair.b].name);
   }
   static bool SharesDisc(const std::vector<int>& discs, const std::vector<int>& others) {
@@ -142,15 +105,15 @@ class IntervalEvents {
   // one in the middle between the touch and the last event of its discs before.
   Start StartBefore(const Touch& touch) const {
     double last = 0;
-    for (const int i : PairOf(touch.candidate).discs()) {
+    for (const int i : gaps_.PairOf(touch.candidate).discs()) {
       for (const Touch& other : touches_) {
-        const std::array<int, 2> discs = PairOf(other.candidate).discs();
+        const std::array<int, 2> discs = gaps_.PairOf(other.candidate).discs();
         if (other.kind == ContactKind::kSustained || (discs[0] != i && discs[1] != i)) continue;
         if (!scene_.bodies[i].fixed && other.time < touch.time - kSameTime * length_) last = std::max(last, other.time);
       }
     }
     if (last == 0) return at_begin_;
-    Start start{.time = 0.5 * (last + touch.time), .x = std::vector<double>(at_begin_.x.size()), .A = {}, .B = {}};
+    Start start{{0.5 * (last + touch.time), std::vector<double>(at_begin_.x.size())}, {}, {}};
     const std::unique_ptr<Simulator> part = motion_.MakeStep(k_, start.time);
     part->Step(at_begin_.x, force_, start.x);
     StepLinearization step;
@@ -161,31 +124,8 @@ class IntervalEvents {
     return start;
   }
 
-  Vec2d Velocity(const Start& start, int i, double t) const {
-    const double* v = &start.x[size_ * i + 2];
-    return Vec2d(v[0], v[1]) + (t - start.time) * accelerations_[i];
-  }
-  Vec2d Position(const Start& start, int i, double t) const {
-    const double* p = &start.x[size_ * i];
-    const double s = t - start.time;
-    return Vec2d(p[0], p[1]) + s * (Velocity(start, i, start.time) + 0.5 * s * accelerations_[i]);
-  }
-
-  Gap GapAt(const Start& start, const Pair& pair, double t) const {
-    const Vec2d p = Position(start, pair.a, t), v = Velocity(start, pair.a, t);
-    const double radius = scene_.bodies[pair.a].radius;
-    if (pair.wall != nullptr) {
-      const Separation<double> separation = Separate<double>(p, pair.wall->wall);
-      return {separation.distance - (pair.wall->pocket ? 0 : radius), Dot(separation.normal, v), separation.normal};
-    }
-    const Separation<double> separation = Separate<double>(p, Position(start, pair.b, t));
-    return {separation.distance - radius - scene_.bodies[pair.b].radius,
-            Dot(separation.normal, Vec2d(v - Velocity(start, pair.b, t))),
-            separation.normal};
-  }
-
   // The derivatives of the gap at a fixed time.
-  Change ChangeOfGap(const Start& start, const Pair& pair, double t, const Vec2d& normal) const {
+  Change ChangeOfGap(const Start& start, const GapPair& pair, double t, const Vec2d& normal) const {
     const double s = t - start.time;
     Eigen::RowVectorXd by_start = Eigen::RowVectorXd::Zero(start.A.rows());
     Eigen::MatrixXd by_force = Eigen::MatrixXd::Zero(1, static_cast<Eigen::Index>(force_.size()));
@@ -202,23 +142,16 @@ class IntervalEvents {
     return {by_start * start.A, by_start * start.B + Select(by_force, columns_)};
   }
 
-  static bool Touches(std::span<const Touch> touches, const Pair& pair) {
-    return std::ranges::any_of(touches, [&](const Touch& touch) {
-      const Candidate& c = touch.candidate;
-      return c.a == pair.a && c.b == pair.b && c.plane == (pair.wall != nullptr);
-    });
-  }
-
-  void AddLeastGaps(const Pair& pair) {
-    if (Touches(touches_, pair)) return;
-    const double first = std::min(first_[pair.discs()[0]], first_[pair.discs()[1]]);
+  void AddLeastGaps(const GapPair& pair) {
+    if (IntervalGaps::Touches(touches_, pair)) return;
+    const double first = gaps_.First(pair);
     if (first == kNever) {
       if (AddLeastGap(at_begin_, pair, 0, length_) && ends_) AddGap(at_begin_, pair, length_, nullptr);
       return;
     }
-    const double last = std::max(last_[pair.discs()[0]], last_[pair.discs()[1]]);
+    const double last = gaps_.Last(pair);
     const bool falls = AddLeastGap(at_begin_, pair, 0, first);
-    if (falls && GapAt(at_end_, pair, last).rate >= 0) {
+    if (falls && gaps_.At(at_end_, pair, last).rate >= 0) {
       const auto turns = std::ranges::find(interval_->events, begin_ + first, &LinearEvent::time);
       if (turns != interval_->events.end()) AddGap(at_begin_, pair, first, &*turns);
     }
@@ -227,35 +160,30 @@ class IntervalEvents {
 
   // Adds the least gap between two times, if the gap falls before it and rises behind it, and gaps of a pair that
   // touches without a force. Returns whether the gap still falls at the end, or is still zero.
-  bool AddLeastGap(const Start& start, const Pair& pair, double from, double to) {
-    const Gap before = GapAt(start, pair, from);
-    const double touching = kTouching * scene_.bodies[pair.a].radius;
+  bool AddLeastGap(const Start& start, const GapPair& pair, double from, double to) {
+    const Gap before = gaps_.At(start, pair, from);
+    const double touching = gaps_.Touching(pair);
     if (before.value <= touching) {
       if (start.time > 0 || before.value < -touching) return false;
       const auto [i, j] = pair.discs();
-      const double speed = std::max(Velocity(start, i, to).norm(), Velocity(start, j, to).norm());
-      const bool stays = GapAt(start, pair, to).rate <= kAtRest * speed;
+      const double speed = std::max(gaps_.Velocity(start, i, to).norm(), gaps_.Velocity(start, j, to).norm());
+      const bool stays = gaps_.At(start, pair, to).rate <= kAtRest * speed;
       // Disturbances of the process come at the ends of intervals, so the first interval of a motion has none.
-      const bool begins = k_ == 1 || (k_ > 1 && Touches(motion_.touches(k_ - 1), pair));
-      const auto touched = [&] { return GapAt({0, motion_.State(k_ - 1), {}, {}}, pair, 0).value <= touching; };
+      const bool begins = k_ == 1 || (k_ > 1 && IntervalGaps::Touches(motion_.touches(k_ - 1), pair));
+      const auto touched = [&] { return gaps_.At({0, motion_.State(k_ - 1)}, pair, 0).value <= touching; };
       if (k_ == 0 || (!stays && !begins && touched())) AddGap(start, pair, from, nullptr);
       if (stays && begins) AddGap(start, pair, to, nullptr);
       return stays;
     }
-    if (GapAt(start, pair, to).rate < 0) return true;
-    if (before.rate >= 0) return false;
-    for (int i = 0; i < kBisections; ++i) {
-      const double middle = 0.5 * (from + to);
-      (GapAt(start, pair, middle).rate < 0 ? from : to) = middle;
-    }
-    AddGap(start, pair, to, nullptr);
+    if (gaps_.At(start, pair, to).rate < 0) return true;
+    if (const auto least = gaps_.LeastBetween(start, pair, from, to)) AddGap(start, pair, *least, nullptr);
     return false;
   }
 
   // Adds the gap at a time, which is that of an event where `turns` is given.
-  void AddGap(const Start& start, const Pair& pair, double t, const LinearEvent* turns) {
-    if (pair.wall != nullptr && !pair.wall->extent.Covers(Position(start, pair.a, t))) return;
-    const Gap gap = GapAt(start, pair, t);
+  void AddGap(const Start& start, const GapPair& pair, double t, const LinearEvent* turns) {
+    if (pair.wall != nullptr && !pair.wall->extent.Covers(gaps_.Position(start, pair.a, t))) return;
+    const Gap gap = gaps_.At(start, pair, t);
     Change change = ChangeOfGap(start, pair, t, gap.normal);
     if (turns != nullptr) {
       change.by_state += gap.rate * turns->by_state;
@@ -270,10 +198,10 @@ class IntervalEvents {
 
   // Adds by how much the paths of two discs that collide overlap, across their relative velocity w: the sum d of their
   // radii minus the offset across, which is cross(r, w) / |w| for the relative position r, on either side.
-  void AddOverlaps(const Pair& pair) {
+  void AddOverlaps(const GapPair& pair) {
     const int a = size_ * pair.a, b = size_ * pair.b;
-    const Vec2d r = Position(at_begin_, pair.a, 0) - Position(at_begin_, pair.b, 0);
-    const Vec2d w = Velocity(at_begin_, pair.a, 0) - Velocity(at_begin_, pair.b, 0);
+    const Vec2d r = gaps_.Position(at_begin_, pair.a, 0) - gaps_.Position(at_begin_, pair.b, 0);
+    const Vec2d w = gaps_.Velocity(at_begin_, pair.a, 0) - gaps_.Velocity(at_begin_, pair.b, 0);
     const double speed = w.norm();
     if (!(speed > 0)) return;
     const double offset = (r[0] * w[1] - r[1] * w[0]) / speed;
@@ -307,9 +235,8 @@ class IntervalEvents {
   const std::vector<WallPart> walls_;
   const double begin_, length_;
   LinearInterval* interval_;
-  std::vector<double> first_, last_;  // impact of each disc
-  std::vector<Vec2d> accelerations_;  // without impacts; where contacts last, with those of their forces
-  Start at_begin_, at_end_;
+  const Start at_begin_, at_end_;
+  const IntervalGaps gaps_;
   bool ends_ = true;  // the motion, with this interval
 };
 

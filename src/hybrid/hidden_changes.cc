@@ -31,7 +31,8 @@ class Search {
         functions_(system.functions()),
         input_(input),
         tape_(tape),
-        all_(which == Changes::kAll),
+        all_(which != Changes::kHidden),
+        first_(which == Changes::kFirst),
         integrator_(functions_) {
     double largest = 0;
     for (const double number : tape.numbers) largest = std::max(largest, std::abs(number));
@@ -44,7 +45,7 @@ class Search {
   }
 
   HiddenChanges Run() {
-    for (std::size_t i = 0; i < tape_.entries.size(); ++i) {
+    for (std::size_t i = 0; i < tape_.entries.size() && !(first_ && found_.steps > 0); ++i) {
       const TapeEntry& entry = tape_.entries[i];
       if (entry.kind == TapeEntry::Kind::kReset || !(entry.h > 0)) continue;
       if (!all_ && !(functions_.HasBounds() && functions_.MayHideChanges(entry.mode))) continue;
@@ -105,7 +106,7 @@ class Search {
       parts_.push_back(std::move(second));
     }
     if (!found) return;
-    ++found_.steps;
+    if (found_.steps++ == 0) found_.first = step.t;
     const double begin = step.t - input_.begin;
     const auto add = [&](double time) {
       if (time > 0 && time < input_.duration) found_.ends.push_back(time / input_.duration);
@@ -206,7 +207,7 @@ class Search {
   const HybridFunctions& functions_;
   const HybridInput& input_;
   const MotionTape& tape_;
-  const bool all_;
+  const bool all_, first_;
   RungeKutta integrator_;
   std::vector<double> negligible_;  // changes of each component
   // The step, and the part of it, that are looked at.

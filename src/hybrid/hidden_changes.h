@@ -18,12 +18,14 @@ struct HiddenChanges {
   // parts of the duration, in order. Steps between these times see the changes, and what they do nearby.
   std::vector<double> ends;
   int steps = 0;           // so many of the motion have changes
+  double first = 0;        // s: when the first of these steps begins
   bool unbounded = false;  // whether the shortest change has no bounds, as one beside a pole
 };
 
 // Which changes are looked for: those that steps may not see, by modes whose functions are flat beside them
-// (HybridFunctions::MayHideChanges), or also those that steps see and do not resolve, in all modes.
-enum class Changes { kHidden, kAll };
+// (HybridFunctions::MayHideChanges), or also those that steps see and do not resolve, in all modes; of these all, or
+// those of the first step that has some, behind which the motion may be wrong.
+enum class Changes { kHidden, kAll, kFirst };
 
 // Finds changes that are larger than a relative tolerance of the states.
 HiddenChanges FindHiddenChanges(const HybridSystem& system, const HybridInput& input, const MotionTape& tape,

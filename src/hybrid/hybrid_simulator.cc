@@ -81,9 +81,21 @@ class HybridSimulator::Impl {
         run(std::make_unique<RolloutRun>(system, options)),
         derivatives(system) {}
 
-  static bool IsSame(const HybridEvent& a, const HybridEvent& b) { return a.guard == b.guard && a.mode == b.mode; }
-  static bool HaveSameEvents(const RolloutRun& one, const RolloutRun& other) {
-    return one.tape().final_mode == other.tape().final_mode && std::ranges::equal(one.events(), other.events(), IsSame);
+  static bool IsSame(const HybridEvent* a, const HybridEvent* b) { return a->guard == b->guard && a->mode == b->mode; }
+  // The events of a motion, but switches that it meets where the control jumps: rounding decides whether it meets them
+  // before the jump or behind it, and how often.
+  std::vector<const HybridEvent*> EventsBesideJumps(const RolloutRun& of) const {
+    constexpr double kJumpTime = 1e-9;  // of a control interval
+    std::vector<const HybridEvent*> events;
+    for (const HybridEvent& event : of.events()) {
+      const bool at_jump = event.is_switch && ControlJumpNear(input, system.num_controls(), event.time, kJumpTime) > 0;
+      if (!at_jump) events.push_back(&event);
+    }
+    return events;
+  }
+  bool HaveSameEvents(const RolloutRun& one, const RolloutRun& other) const {
+    return one.tape().final_mode == other.tape().final_mode &&
+           std::ranges::equal(EventsBesideJumps(one), EventsBesideJumps(other), IsSame);
   }
 
   // The largest relative difference of final state and event times of two motions; infinite if they have other events.
@@ -92,12 +104,12 @@ class HybridSimulator::Impl {
   double Difference(const RolloutRun& one, const RolloutRun& other, double rounding = kRounding) const {
     const bool by_state = system.functions().EndsAccumulations() && one.tape().final_mode == other.tape().final_mode;
     if (!by_state && !HaveSameEvents(one, other)) return std::numeric_limits<double>::infinity();
-    const std::vector<HybridEvent>&events = one.events(), &others = other.events();
+    const std::vector<const HybridEvent*> events = EventsBesideJumps(one), others = EventsBesideJumps(other);
     const auto end = std::ranges::mismatch(events, others, IsSame);
     double difference = 0;
     auto of_other = others.begin();
     for (auto event = events.begin(); event != end.in1; ++event) {
-      difference = std::max(difference, std::abs(event->time - (of_other++)->time) / input.duration);
+      difference = std::max(difference, std::abs((*event)->time - (*of_other++)->time) / input.duration);
     }
     const double *at = &one.tape().numbers[one.tape().final_state],
                  *to = &other.tape().numbers[other.tape().final_state];
@@ -334,7 +346,14 @@ class HybridSimulator::Impl {
   bool DivideAtFew(const RolloutRun& of) {
     if (!divides_early) return false;
     const HiddenChanges changes = FindHidden(of, Changes::kAll);
-    if (changes.steps == 0 || changes.steps * kFewPlaces > of.tape().num_nodes || changes.unbounded) return false;
+    if (changes.steps == 0 || changes.unbounded) return false;
+    if (changes.steps * kFewPlaces > of.tape().num_nodes) {
+      // A motion that misses an event, behind which its flow has no solution, is wrong from there on. Once the event
+      // is met the next such place is later.
+      if (changes.first <= last_first + kFewPlaces * of.tape().step) return false;
+      last_first = changes.first;
+      return Divide(FindHidden(of, Changes::kFirst));
+    }
     RolloutRun fewest(system, options);
     if (fewest.Run(input, Steps(FewestSteps())) == RolloutEnd::kDone && Divide(FindHidden(fewest, Changes::kAll))) {
       return true;
@@ -345,6 +364,7 @@ class HybridSimulator::Impl {
   // Chooses the number of steps, and divides control intervals where changes hide within them. Where that leads to no
   // motion, as few steps have hidden most of the changes, no division is made before uniform steps have been tried.
   bool ChooseSteps() {
+    last_first = -std::numeric_limits<double>::infinity();
     for (;;) {
       const std::optional<bool> found = ChooseNumber();
       if (!found) continue;
@@ -625,6 +645,7 @@ class HybridSimulator::Impl {
   const std::vector<double> given;  // options.divided, before any are chosen
   int steps;                        // in a control interval; 0: to be chosen
   bool divides_early = true;        // DivideAtFew() may divide
+  double last_first = 0;            // s: where the first change was for which it divided one step only
   double reached = 0;               // the error when they were chosen
   HybridInput input;                // of the last rollout, with zeros where it has no control
   bool done = false;

@@ -1,15 +1,99 @@
 #include "saltus/simulate/events.h"
 
 #include <algorithm>
+#include <cmath>
+#include <limits>
 #include <map>
+#include <optional>
 #include <set>
 #include <tuple>
 
 #include "base/number_text.h"
 #include "contact/event/event_ties.h"
+#include "saltus/control/contact_sequence.h"
 #include "saltus/scene/walls.h"
+#include "simulate/broad_phase.h"
+#include "simulate/interval_gaps.h"
 
 namespace saltus {
+namespace {
+
+constexpr double kSameGraze = 1e-6;  // of the duration: a pair that grazes on a node is found on both of its sides
+
+// The discs of a scene, of which the pairs that come near each other in a step are sought, with those that touch.
+BroadPhase NearPairs(const Simulator& simulator, std::span<const double> control, const std::vector<WallPart>& walls) {
+  const Scene& scene = simulator.scene();
+  std::vector<BroadPhase::Disc> discs;
+  std::vector<double> push(scene.bodies.size()), force(simulator.force_size());
+  double touching = 0;
+  for (const Body& body : scene.bodies) {
+    discs.push_back({body.radius, body.mass, body.fixed, body.Spins() ? body.MomentOfInertia() / body.mass : 0});
+    touching = std::max(touching, IntervalGaps::kTouching * body.radius);
+  }
+  for (int k = 0; k < simulator.num_steps(); ++k) {
+    simulator.ExpandForce(control, k, force);
+    for (int i = 0; i < scene.num_bodies(); ++i) {
+      push[i] = std::max(push[i], std::hypot(force[2 * i], force[2 * i + 1]) / scene.bodies[i].mass);
+    }
+  }
+  const double slowing = scene.table ? scene.table->friction * scene.table->gravity : 0;
+  for (double& most : push) most += scene.gravity.norm() + slowing;
+  BroadPhase near(walls,
+                  std::move(discs),
+                  {.dt = simulator.step(),
+                   .chains = true,
+                   .push_gap = touching,
+                   .rounding = std::numeric_limits<double>::epsilon(),
+                   .all_parts = true});
+  near.SetAccelerations(push);
+  return near;
+}
+
+// Calls add(k, pair, time in step k) for the pairs that come within rounding of each other and do not touch.
+template <typename Add>
+void AddLeastGaps(const Simulator& simulator, std::span<const double> control, const std::vector<WallPart>& walls,
+                  const Add& add) {
+  const double h = simulator.step();
+  BroadPhase near = NearPairs(simulator, control, walls);
+  std::vector<double> force(simulator.force_size());
+  std::vector<Candidate> candidates, falling, falling_before;
+  std::vector<Touch> now;
+  auto touch = simulator.touches().begin();
+  Flight begin{0, std::vector<double>(simulator.state_size())}, end{h, begin.x};
+  for (int k = 0, next = 0; k < simulator.num_steps(); k = next) {
+    simulator.GetState(k, begin.x);
+    next = k + near.Find(begin.x.data(), simulator.body_size(), &candidates);
+    falling_before.swap(falling);
+    falling.clear();
+    if (candidates.empty()) continue;
+    simulator.GetState(k + 1, end.x);
+    simulator.ExpandForce(control, k, force);
+    now.clear();
+    while (touch != simulator.touches().end() && touch->step < k) ++touch;
+    for (; touch != simulator.touches().end() && touch->step == k; ++touch) now.push_back(touch->touch);
+    const IntervalGaps gaps(simulator.scene(), walls, now, force, begin, end);
+    for (const Candidate& candidate : candidates) {
+      const GapPair pair = gaps.PairOf(candidate);
+      if (IntervalGaps::Touches(now, pair) || (pair.wall != nullptr && pair.wall->table)) continue;
+      const double touching = gaps.Touching(pair);
+      const auto look = [&](const Flight& flight, std::optional<double> t) {
+        if (!t || std::abs(gaps.At(flight, pair, *t).value) > touching) return;
+        if (pair.wall != nullptr && !pair.wall->extent.Covers(gaps.Position(flight, pair.a, *t), touching)) return;
+        add(k, pair, *t);
+      };
+      // The gap of a pair that is least on a node falls until there, and rises from there on.
+      const Gap at_node = gaps.At(begin, pair, 0);
+      const bool may_graze = at_node.rate >= 0 && at_node.value <= touching;
+      if (may_graze && std::ranges::find(falling_before, candidate) != falling_before.end()) look(begin, 0.0);
+      const double first = gaps.First(pair);
+      look(begin, gaps.LeastBetween(begin, pair, 0, std::min(first, h)));
+      if (first < IntervalGaps::kNever) look(end, gaps.LeastBetween(end, pair, gaps.Last(pair), h));
+      if (gaps.At(end, pair, h).rate < 0) falling.push_back(candidate);
+    }
+  }
+}
+
+}  // namespace
 
 std::vector<StepTouch> EventTouches(const Simulator& simulator) {
   std::vector<StepTouch> events;
@@ -39,10 +123,36 @@ std::vector<Event> EventsOf(const Simulator& simulator) {
     events.push_back({at.step * simulator.step() + at.touch.time,
                       scene.bodies[c.a].name,
                       c.plane ? walls[c.b] : scene.bodies[c.b].name,
-                      at.touch.mode,
-                      at.touch.kind == ContactKind::kGrazing});
+                      at.touch.mode});
   }
   return events;
+}
+
+std::vector<Event> GrazesOf(const Simulator& simulator, std::span<const double> control) {
+  if (!simulator.traits().event_driven) return {};
+  const Scene& scene = simulator.scene();
+  const std::vector<WallPart> walls = WallPartsOf(scene);
+  std::vector<Event> grazes;
+  const auto add = [&](int k, const GapPair& pair, double t) {
+    Event event{k * simulator.step() + t,
+                scene.bodies[pair.a].name,
+                pair.wall != nullptr ? pair.wall->name : scene.bodies[pair.b].name};
+    grazes.push_back(std::move(event));
+  };
+  const std::vector<StepTouch>& touches = simulator.touches();
+  for (const StepTouch& at : touches) {
+    const Candidate& c = at.touch.candidate;
+    if (at.touch.kind == ContactKind::kGrazing)
+      add(at.step, {c.a, c.b, c.plane ? &walls[c.b] : nullptr}, at.touch.time);
+  }
+  if (NonBallisticForces(scene).empty()) AddLeastGaps(simulator, control, walls, add);
+  std::ranges::stable_sort(grazes, {}, &Event::time);
+  const auto is_same = [&](const Event& one, const Event& other) {
+    return one.a == other.a && one.b == other.b && other.time - one.time <= kSameGraze * scene.duration;
+  };
+  const auto repeated = std::ranges::unique(grazes, is_same);
+  grazes.erase(repeated.begin(), repeated.end());
+  return grazes;
 }
 
 int NumUnresolvedSteps(const Simulator& simulator) {

@@ -27,6 +27,7 @@ struct ModelGradient {
   double loss = 0;
   Sensitivity gradient;       // of the loss, effort included; shapes as in simulator.h with K = num_steps
   std::vector<Event> events;  // if the model resolves impact times
+  std::vector<Event> grazes;  // where the gradient is that of motions that pass by, if asked for
   int num_touches = 0;        // pairs that touch, summed over all steps
   int unresolved_steps = 0;   // steps by the time-stepping fallback (events.h); with any, the gradient is not exact
   // Entries of an exact gradient by the initial state that are one-sided derivatives, or that do not exist.
@@ -51,8 +52,10 @@ void SetScales(const Scene& scene, ModelGradient* gradient);
 // Computes the gradient. ModelGradient::reason also reports an unknown model, a wrong scene, and with kStopped that it
 // was stopped. A `control` of K rows of control_width() numbers replaces the initial guess; one of another size is
 // reported in the reason, as are path costs, a free duration and constraints, which have no gradient here.
+// `with_grazes`: finds the grazes too, of a model that resolves impact times.
 ModelGradient ComputeGradient(const Contact& contact, const Scene& scene, Precision precision,
-                              const StopRequest& stop = nullptr, const std::vector<double>* control = nullptr);
+                              const StopRequest& stop = nullptr, const std::vector<double>* control = nullptr,
+                              bool with_grazes = false);
 
 // Computes a surrogate of the gradient, with its samples on `threads` threads. The initial state and the control are
 // perturbed one at a time, each as a whole. A surrogate that is not valid is reported in the reason.

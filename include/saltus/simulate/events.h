@@ -2,6 +2,7 @@
 // times (ModelTraits::event_driven) have events.
 #pragma once
 
+#include <span>
 #include <string>
 #include <vector>
 
@@ -14,7 +15,6 @@ struct Event {
   std::string a;    // a disc
   std::string b;    // the other disc, or the wall, a part of a wall, a pocket or "table" (WallPart::name)
   ContactMode mode = ContactMode::kFrictionless;
-  bool grazes = false;  // its speed is near zero, and derivatives are those of motions that pass by without a contact
 };
 
 // Simultaneous impacts that are connected through discs that move, and whose order changes the velocities after them.
@@ -32,6 +32,12 @@ std::vector<StepTouch> EventTouches(const Simulator& simulator);
 
 // Returns the events of the last rollout, in order of time, with discs and walls by name.
 std::vector<Event> EventsOf(const Simulator& simulator);
+
+// Returns where discs graze others or walls in the last rollout, under `control`, up to rounding: derivatives are then
+// those of motions that pass by without a contact. The times are in order. Empty for models that resolve no impact
+// times; between two impacts of a disc in one step, and with forces that depend on the state, only what the model
+// itself takes for a touch is found.
+std::vector<Event> GrazesOf(const Simulator& simulator, std::span<const double> control);
 
 // Returns the ties of the last rollout whose order changes the motion, in order of time. Empty for models that resolve
 // no impact times.

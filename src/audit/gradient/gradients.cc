@@ -23,7 +23,7 @@ std::string UnsupportedByGradient(const Scene& scene) {
 
 // Computes loss, events and the gradient by the adjoint.
 void FillIn(const Contact& contact, const Scene& scene, Precision precision, const StopRequest& stop,
-            ModelGradient* result, const std::vector<double>* control = nullptr) {
+            ModelGradient* result, const std::vector<double>* control = nullptr, bool with_grazes = false) {
   Scene near = NearOrigin(scene);
   if (control != nullptr) near.optimize = Optimize::kControl;
   SingleShooting shooting(MakeSimulator(contact, near, precision));
@@ -47,6 +47,7 @@ void FillIn(const Contact& contact, const Scene& scene, Precision precision, con
   }
   result->loss = ConvertLoss(result->loss, near.units, scene.units);
   result->events = EventsOf(shooting.simulator());
+  if (with_grazes) result->grazes = GrazesOf(shooting.simulator(), shooting.ControlAt(variables));
   result->ambiguous = TiesOf(shooting.simulator());
   result->num_touches = static_cast<int>(shooting.simulator().touches().size());
   result->unresolved_steps = NumUnresolvedSteps(shooting.simulator());
@@ -114,13 +115,13 @@ void SetScales(const Scene& scene, ModelGradient* gradient) {
 }
 
 ModelGradient ComputeGradient(const Contact& contact, const Scene& scene, Precision precision, const StopRequest& stop,
-                              const std::vector<double>* control) {
+                              const std::vector<double>* control, bool with_grazes) {
   ModelGradient result;
   result.contact = contact.name();
   SetScales(scene, &result);
   result.reason = ReasonNotApplicable(contact, scene);
   if (result.ok()) result.reason = UnsupportedByGradient(scene);
-  if (result.ok()) FillIn(contact, scene, precision, stop, &result, control);
+  if (result.ok()) FillIn(contact, scene, precision, stop, &result, control, with_grazes);
   if (result.ok() && CHECK_NOTNULL(FindContactModel(contact))->event_driven) {
     result.one_sided = OneSidedDerivatives(ToNaturalUnits(scene));
   }
