@@ -953,8 +953,8 @@ TEST(HybridModeSearch, FindsTheBounceAndProvesNothing) {
   EXPECT_THAT(Solve("mode_search", problem, options).reason, HasSubstr("not complete: the limit of work"));
 }
 
-// From 4 m at rest to 4 m at rest: against the weight alone, without a bounce. Random starts lead there again and again,
-// of which two rounds are enough; several threads simulate them at the same time.
+// From 4 m at rest to 4 m at rest: against the weight alone, without a bounce. Random starts lead there again and
+// again, of which two rounds are enough; several threads simulate them at the same time.
 TEST(HybridModeSearch, EndsWhereStartsLeadToTheSameOptimumAgain) {
   HybridProblem problem = ControlledBall(20);
   problem.terms[0] = MakeTerminalCost(0, 4.0, 100.0, 2);

@@ -362,8 +362,8 @@ class SequenceSearch : LimitedSearch {
   }
 
   // Whether the optima that starts lead to are known, as far as one can tell from how often they led to the same ones:
-  // the expected number of optima, w (s - 1) / (s - w - 2) of s starts that led to w ones, is w when rounded (Boender and
-  // Rinnooy Kan 1987). The sizes of their regions of attraction are taken to be equally probable.
+  // the expected number of optima, w (s - 1) / (s - w - 2) of s starts that led to w ones, is w when rounded (Boender
+  // and Rinnooy Kan 1987). The sizes of their regions of attraction are taken to be equally probable.
   bool HasAllOptima() const {
     const double w = static_cast<double>(optima_of_starts_.size()), s = optima_from_starts_;
     return s > w + 2 && w * (s - 1) < (w + 0.5) * (s - w - 2);
