@@ -953,6 +953,26 @@ TEST(HybridModeSearch, FindsTheBounceAndProvesNothing) {
   EXPECT_THAT(Solve("mode_search", problem, options).reason, HasSubstr("not complete: the limit of work"));
 }
 
+// From 4 m at rest to 4 m at rest: against the weight alone, without a bounce. Random starts lead there again and
+// again, of which two rounds are enough; several threads simulate them at the same time.
+TEST(HybridModeSearch, EndsWhereStartsLeadToTheSameOptimumAgain) {
+  HybridProblem problem = ControlledBall(20);
+  problem.terms[0] = MakeTerminalCost(0, 4.0, 100.0, 2);
+  SolverOptions options;
+  const SolveReport report = Solve("mode_search", problem, options);
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_TRUE(report.optima.at(0).sequence.empty());
+  ASSERT_TRUE(report.searched);
+  const int random = options.sequences.limits.starts;
+  EXPECT_GT(report.searched->starts, 1 + random) << "more starts look for a bounce that is better";
+  EXPECT_LT(report.searched->starts, 1 + 7 * random) << "and end before the last round";
+  options.threads = 4;
+  const SolveReport other = Solve("mode_search", problem, options);
+  EXPECT_EQ(other.solution.loss, report.solution.loss);
+  EXPECT_EQ(other.searched->starts, report.searched->starts);
+  EXPECT_EQ(other.reason, report.reason);
+}
+
 // Squares that are all zero need no other start and no neighbour.
 TEST(HybridModeSearch, EndsAtALossOfZero) {
   HybridProblem problem = ControlledBall(20);

@@ -429,7 +429,11 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
     result.violation = UpdateMultipliers(&result.cost, &lagrangian, &change_of_multipliers);
     // An optimum whose multipliers are unknown: with those of zero, greater weights would lead away from it.
     near = near || (round == 0 && !estimated && result.iterations == 0);
-    if (round == 0 && !estimated && (near || result.violation > options.most_open)) {
+    const double gain_ahead = kGainsAhead * ceres_options.function_tolerance * std::abs(lagrangian);
+    const int accurate = options.one_of_many ? 0 : kAccurate;
+    if (round >= accurate && lagrangian - gain_ahead > options.most_cost) break;
+    const bool is_far = result.violation > options.most_open && !options.one_of_many;
+    if (round == 0 && !estimated && (near || is_far)) {
       estimated = true;
       SetValues(start);
       EstimateMultipliers(true);
@@ -447,8 +451,6 @@ AugmentedLagrangian::Summary AugmentedLagrangian::MinimizeLeastSquares(const Opt
       stalls = round > 0 && result.violation > kStalled * open_before ? stalls + 1 : 0;
       if (stalls == kMostStalled || (result.iterations > kManyIterations && result.violation > kHopeless)) break;
     }
-    const double gain_ahead = kGainsAhead * ceres_options.function_tolerance * std::abs(lagrangian);
-    if (round >= kAccurate && lagrangian - gain_ahead > options.most_cost) break;
     const double same = std::max(kSameCost * std::abs(result.cost), least_change);
     // With a weight that follows the costs, the first solves may end at the same cost, to which they are not accurate.
     const int earliest = near || options.weight_of_costs > 0 ? kLast : 1;

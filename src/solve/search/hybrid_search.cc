@@ -176,6 +176,7 @@ class HybridSearch {
     return std::ranges::any_of(
         events_, [&](const ModeEvent& event) { return std::ranges::count(motion.exact.contacts, event) == 0; });
   }
+  bool starts_are_cheap() const { return false; }
   double long_work() const { return INFINITY; }
   bool descends_from_guess() const { return false; }
   bool shares_intervals() const { return false; }

@@ -266,6 +266,7 @@ class DiscSearch {
     return std::ranges::any_of(AllPairs(scene_),
                                [&](const Candidate& c) { return std::ranges::count(trial.exact.contacts, c) == 0; });
   }
+  bool starts_are_cheap() const { return true; }
   double long_work() const { return by_arcs() ? sequence_search::kLongWork : INFINITY; }
   bool descends_from_guess() const { return by_arcs(); }
   bool shares_intervals() const { return by_arcs(); }

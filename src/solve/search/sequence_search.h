@@ -34,6 +34,8 @@
 //   WorkByRollout(), WorkOf(start)             of a gradient by shooting and of a Jacobian, as SearchOptions::work
 //   lowest_loss(), LowestAlong(sequence)       lower bounds of the loss, of all motions and along a sequence
 //   LacksEvents(trial)                         whether events that could happen do not in a motion
+//   starts_are_cheap()                         whether more random starts cost less than a solve, so that they go on
+//                                              where the optima that starts lead to are the same again and again
 //   long_work()                                the work from which on neighbours are left out after most of the work
 //                                              without anything better
 //   starts_of_sequence()                       the motions from which a sequence is tried
@@ -345,7 +347,7 @@ class SequenceSearch : LimitedSearch {
     const SearchOptions& limits = options_.sequences.limits;
     const bool fits = drawn_ + 2 * limits.starts + sequence_search::kPatience <= options_.limits.iterations;
     if (rounds_ == sequence_search::kMostRounds || !fits || IsLong(sequence_search::kLongWork)) return starts;
-    if (!problem_.LacksEvents(best_->trial)) return starts;
+    if (!problem_.LacksEvents(best_->trial) || (!problem_.starts_are_cheap() && HasAllOptima())) return starts;
     ++rounds_;
     for (int i = 0; i < limits.starts && !Stopped(); ++i) {
       const int number = rounds_ * limits.starts + i;
@@ -357,6 +359,14 @@ class SequenceSearch : LimitedSearch {
     }
     searched_.starts += static_cast<int>(starts.size());
     return starts;
+  }
+
+  // Whether the optima that starts lead to are known, as far as one can tell from how often they led to the same ones:
+  // the expected number of optima, w (s - 1) / (s - w - 2) of s starts that led to w ones, is w when rounded (Boender
+  // and Rinnooy Kan 1987). The sizes of their regions of attraction are taken to be equally probable.
+  bool HasAllOptima() const {
+    const double w = static_cast<double>(optima_of_starts_.size()), s = optima_from_starts_;
+    return s > w + 2 && w * (s - 1) < (w + 0.5) * (s - w - 2);
   }
 
   // Whether a sequence is among those tried as often as it may be.
@@ -480,6 +490,7 @@ class SequenceSearch : LimitedSearch {
     AddIfNew(trial.exact.contacts, &searched_along_);
     if (IsOptimum(finding)) {
       LocalOptimum found = problem_.OptimumOf(trial);
+      if (start.shooting != Shooting::kNone && !start.is_guess) NoteOptimumOfStart(found);
       LocalOptimum* known = KnownAs(found);
       if (known == nullptr) {
         optima_.push_back(std::move(found));
@@ -493,6 +504,14 @@ class SequenceSearch : LimitedSearch {
     }
     NoteUnexpanded(trial);
     if (!best_ || IsBetter(finding)) best_ = std::move(finding);
+  }
+
+  void NoteOptimumOfStart(const LocalOptimum& found) {
+    ++optima_from_starts_;
+    const bool known = std::ranges::any_of(optima_of_starts_, [&](double loss) {
+      return std::abs(loss - found.loss) <= kSameOptimum * std::abs(found.loss);
+    });
+    if (!known) optima_of_starts_.push_back(found.loss);
   }
 
   // Notes that the neighbours of a motion may be tried; those of the worst motions are forgotten first.
@@ -586,6 +605,8 @@ class SequenceSearch : LimitedSearch {
   double mended_ = INFINITY;                 // merit of the last motion that was the start of a thorough solve
   double better_work_ = 0;                   // done when the search was last better
   int last_better_ = 0, rounds_ = 0;
+  std::vector<double> optima_of_starts_;  // the losses of those to which random starts have led
+  int optima_from_starts_ = 0;            // how often they have
 };
 
 }  // namespace saltus
