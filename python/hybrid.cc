@@ -8,7 +8,6 @@
 #include <limits>
 #include <map>
 #include <memory>
-#include <numeric>
 #include <optional>
 #include <tuple>
 #include <variant>
@@ -180,20 +179,16 @@ HybridTerm ReadTerm(const GivenTerm& given) {
               : role == "inequality" ? HybridTerm::Role::kInequality
               : role == "value"      ? HybridTerm::Role::kValue
                                      : HybridTerm::Role::kCost;
-  const auto has = [&](char letter) {  // of a system without controls or parameters no term reads any
-    const std::size_t at_letter = reads.find(letter);
-    return at_letter != std::string::npos && sizes[at_letter] > 0;
-  };
+  const auto has = [&reads = reads](char letter) { return reads.find(letter) != std::string::npos; };
   term.with_state = has('x');
   term.with_initial = has('i');
   term.with_control = has('u');
   term.with_parameters = has('p');
   term.with_time = has('t');
   term.with_length = has('h');
-  std::vector<int> blocks = sizes;
-  std::erase(blocks, 0);
-  const int inputs = std::accumulate(blocks.begin(), blocks.end(), 0);
-  term.function = std::make_shared<RecordedCost>(ReadFunction(inputs, function), blocks);
+  int inputs = 0;
+  for (const int size : sizes) inputs += size;
+  term.function = std::make_shared<RecordedCost>(ReadFunction(inputs, function), sizes);
   return term;
 }
 

@@ -407,8 +407,9 @@ class Cost(Closed):
         mode = self._mode_in(system)
         sizes = {"x": self._state_size(system) if "x" in letters else 0, "i": len(system._states_of(problem.mode)),
                  "u": len(system.controls), "p": len(system.parameters), "t": 1, "h": 1}
-        tape, first, symbols = Tape(), 0, {}
-        reads = [letter for letter in _READS if letter in letters]
+        tape, first = Tape(), 0
+        symbols = {_LETTERS[name]: () for name in names}  # the controls and parameters of a system that has none
+        reads = [letter for letter in _READS if letter in letters and sizes[letter] > 0]
         for name in reads:
             inputs = tape.inputs(first, sizes[name])
             symbols[name] = inputs[0] if name in "th" else inputs

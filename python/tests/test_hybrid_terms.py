@@ -954,3 +954,13 @@ def test_costs_of_intervals_are_rows_of_their_own_variables(optimize):
     assert shot.termination == phases.termination == "converged"
     assert_allclose(shot.loss, phases.loss, rtol=1e-8)
     assert_allclose(shot.control, phases.control, atol=1e-4)
+
+
+@pytest.mark.parametrize(("role", "at"), [("equality", "end"), ("inequality", "steps"), ("inequality", "always")])
+@pytest.mark.parametrize("reads", [lambda x, p: [1 - x[0]], lambda t, x, p: [1 - x[0] - 0 * t]])
+def test_a_constraint_may_name_parameters_that_its_system_has_not(role, at, reads):
+    problem = integrator(initial=[2.0])
+    problem.costs = [saltus.effort(), saltus.residuals(reads, role=role, at=at)]
+    run = saltus.solve(problem)
+    assert run.termination == "converged", run.reason
+    assert_allclose(run.loss, 1.0 if role == "equality" else 0.0, atol=1e-8)  # from 2 to 1 in 1 s, or at rest
