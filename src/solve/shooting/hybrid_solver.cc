@@ -469,10 +469,24 @@ SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions
     order.push_back("mode_search");
   }
   const bool constrained = !std::ranges::all_of(problem.terms, &HybridTerm::IsCost);
+  // Where no motion of about the guess's duration meets the constraints, their least violation may be a local minimum.
+  constexpr std::string_view kLonger = "ipopt from twice the duration";
+  const auto first = std::ranges::find(order, "ipopt");
+  const HybridFree& free = problem.free;
+  if (constrained && free.duration && 2 * problem.guess.duration <= free.duration_max && first != order.end()) {
+    order.insert(first + 1, kLonger);
+  }
+  bool misses = false;  // whether ipopt has met no constraints
   const auto solve = [&](std::string_view name, const SolverOptions& of_solve, const SolveReport* from) {
-    const HybridSolverEntry& entry = *std::ranges::find(HybridSolvers(), name, &HybridSolverEntry::name);
+    const bool longer = name == kLonger;
+    const HybridSolverEntry& entry =
+        *std::ranges::find(HybridSolvers(), longer ? "ipopt" : name, &HybridSolverEntry::name);
     SolveReport report;
     report.termination = Termination::kNotApplicable;
+    if (longer && !misses) {
+      report.reason = why;
+      return report;
+    }
     // With constraints, shooting has found no optimum that phases have not.
     report.reason =
         name == "ceres_lm" && constrained ? UnsupportedByShooting(problem) : entry.reason_not_applicable(problem);
@@ -482,8 +496,13 @@ SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions
       start.guess = SolutionOf(problem, *from);
       start.guess_states.clear();
     }
+    if (longer) {
+      start.guess.duration *= 2;
+      for (double& length : start.guess.lengths) length *= 2;
+    }
     report = SolveBy(entry, start, of_solve);
     JudgeSolution(problem, &report);
+    misses = name == "ipopt" && report.solution.violation > kFeasible;
     return report;
   };
   // Shooting comes first: it never leaves the motions of the system, of which the best is one.

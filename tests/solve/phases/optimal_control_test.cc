@@ -8,6 +8,7 @@
 #include <memory>
 #include <numbers>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "saltus/hybrid/hybrid_problem.h"
@@ -96,6 +97,13 @@ struct Quadrotor {
     xdot[3] = -(u[0] + u[1]) * sin(x[2]);
     xdot[4] = (u[0] + u[1]) * cos(x[2]) - 9.81;
     xdot[5] = 10.0 * (u[0] - u[1]);
+  }
+};
+struct Spring {
+  template <typename T>
+  void operator()(const T* x, const T* u, T* xdot) const {
+    xdot[0] = x[1];
+    xdot[1] = u[0] - x[0];
   }
 };
 struct Integrator {
@@ -349,6 +357,23 @@ TEST(OptimalControl, MeetsSensitiveConstraintsWithControlsAtTheirBounds) {
   problem.free.control_min = {0, 0};
   problem.free.control_max = {9, 9};
   ExpectOptimum(problem, 1.2433706, 1e-6, "quadrotor");
+}
+
+// From 5 s the least miss of the target is a local minimum near 6.7 s. The optima were found by sequential quadratic
+// programming (SciPy's SLSQP) on the same grids.
+TEST(OptimalControl, TriesALongerDurationWhereConstraintsAreMissed) {
+  if (!HasInteriorPoint()) GTEST_SKIP() << "this build has no IPOPT";
+  const std::pair<int, double> cases[] = {{20, 9.2079}, {40, 9.1801}};
+  for (const auto& [intervals, optimum] : cases) {
+    HybridProblem problem = Problem<Spring, 2, 1>({5, 3}, 5, 0, intervals);
+    problem.terms = {MakeDurationCost(1), StateRows<2, 2>(Timing::kEnd, Role::kEquality, {0, 1}, {1, 1}, {0, 0})};
+    problem.free.duration = true;
+    problem.free.duration_min = 1;
+    problem.free.duration_max = 40;
+    problem.free.control_min = {-1};
+    problem.free.control_max = {1};
+    ExpectOptimum(problem, optimum, 5e-5, std::to_string(intervals) + " intervals");
+  }
 }
 
 // x - 2 / x = 0 at the end, which has a pole at 0.
