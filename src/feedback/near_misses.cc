@@ -17,7 +17,7 @@ constexpr double kSameTime = 1e-6;  // of the length of an interval: events at t
 constexpr double kNever = IntervalGaps::kNever;
 
 // A flight with the derivatives of its state by the state at the beginning of the interval and by its control.
-struct Start : Flight {
+struct Start : FlightState {
   Eigen::MatrixXd A, B;
 };
 

@@ -59,7 +59,7 @@ void AddLeastGaps(const Simulator& simulator, std::span<const double> control, c
   std::vector<Candidate> candidates, falling, falling_before;
   std::vector<Touch> now;
   auto touch = simulator.touches().begin();
-  Flight begin{0, std::vector<double>(simulator.state_size())}, end{h, begin.x};
+  FlightState begin{0, std::vector<double>(simulator.state_size())}, end{h, begin.x};
   for (int k = 0, next = 0; k < simulator.num_steps(); k = next) {
     simulator.GetState(k, begin.x);
     next = k + near.Find(begin.x.data(), simulator.body_size(), &candidates);
@@ -76,7 +76,7 @@ void AddLeastGaps(const Simulator& simulator, std::span<const double> control, c
       const GapPair pair = gaps.PairOf(candidate);
       if (IntervalGaps::Touches(now, pair) || (pair.wall != nullptr && pair.wall->table)) continue;
       const double touching = gaps.Touching(pair);
-      const auto look = [&](const Flight& flight, std::optional<double> t) {
+      const auto look = [&](const FlightState& flight, std::optional<double> t) {
         if (!t || std::abs(gaps.At(flight, pair, *t).value) > touching) return;
         if (pair.wall != nullptr && !pair.wall->extent.Covers(gaps.Position(flight, pair.a, *t), touching)) return;
         add(k, pair, *t);

@@ -10,7 +10,7 @@ constexpr int kBisections = 60;
 }  // namespace
 
 IntervalGaps::IntervalGaps(const Scene& scene, std::span<const WallPart> walls, std::span<const Touch> touches,
-                           std::span<const double> force, const Flight& begin, const Flight& end)
+                           std::span<const double> force, const FlightState& begin, const FlightState& end)
     : scene_(scene),
       walls_(walls),
       first_(scene.bodies.size(), kNever),
@@ -54,18 +54,18 @@ double IntervalGaps::Last(const GapPair& pair) const {
 
 double IntervalGaps::Touching(const GapPair& pair) const { return kTouching * scene_.bodies[pair.a].radius; }
 
-Vec2d IntervalGaps::Velocity(const Flight& flight, int i, double t) const {
+Vec2d IntervalGaps::Velocity(const FlightState& flight, int i, double t) const {
   const double* v = &flight.x[flight.x.size() / scene_.bodies.size() * i + 2];
   return Vec2d(v[0], v[1]) + (t - flight.time) * accelerations_[i];
 }
 
-Vec2d IntervalGaps::Position(const Flight& flight, int i, double t) const {
+Vec2d IntervalGaps::Position(const FlightState& flight, int i, double t) const {
   const double* p = &flight.x[flight.x.size() / scene_.bodies.size() * i];
   const double s = t - flight.time;
   return Vec2d(p[0], p[1]) + s * (Velocity(flight, i, flight.time) + 0.5 * s * accelerations_[i]);
 }
 
-Gap IntervalGaps::At(const Flight& flight, const GapPair& pair, double t) const {
+Gap IntervalGaps::At(const FlightState& flight, const GapPair& pair, double t) const {
   const Vec2d p = Position(flight, pair.a, t), v = Velocity(flight, pair.a, t);
   const double radius = scene_.bodies[pair.a].radius;
   if (pair.wall != nullptr) {
@@ -78,7 +78,7 @@ Gap IntervalGaps::At(const Flight& flight, const GapPair& pair, double t) const 
           separation.normal};
 }
 
-std::optional<double> IntervalGaps::LeastBetween(const Flight& flight, const GapPair& pair, double from,
+std::optional<double> IntervalGaps::LeastBetween(const FlightState& flight, const GapPair& pair, double from,
                                                  double to) const {
   if (At(flight, pair, from).rate >= 0 || At(flight, pair, to).rate < 0) return std::nullopt;
   for (int i = 0; i < kBisections; ++i) {

@@ -30,7 +30,7 @@ struct Gap {
 };
 
 // The state of all discs at a time of the interval, from which they fly on or back.
-struct Flight {
+struct FlightState {
   double time = 0;  // s, since the beginning of the interval
   std::vector<double> x;
 };
@@ -42,7 +42,7 @@ class IntervalGaps {
 
   // The interval lasts from `begin` to `end`, under `force` on all discs. Keeps references to scene and walls.
   IntervalGaps(const Scene& scene, std::span<const WallPart> walls, std::span<const Touch> touches,
-               std::span<const double> force, const Flight& begin, const Flight& end);
+               std::span<const double> force, const FlightState& begin, const FlightState& end);
 
   GapPair PairOf(const Candidate& c) const { return {c.a, c.b, c.plane ? &walls_[c.b] : nullptr}; }
   static bool Touches(std::span<const Touch> touches, const GapPair& pair);
@@ -52,12 +52,12 @@ class IntervalGaps {
   // The gap up to which the discs of a pair touch, m.
   double Touching(const GapPair& pair) const;
 
-  Vec2d Velocity(const Flight& flight, int i, double t) const;
-  Vec2d Position(const Flight& flight, int i, double t) const;
-  Gap At(const Flight& flight, const GapPair& pair, double t) const;
+  Vec2d Velocity(const FlightState& flight, int i, double t) const;
+  Vec2d Position(const FlightState& flight, int i, double t) const;
+  Gap At(const FlightState& flight, const GapPair& pair, double t) const;
   // Returns when the gap ceases to fall between two times; nothing if it does not fall at the first, or still does at
   // the second.
-  std::optional<double> LeastBetween(const Flight& flight, const GapPair& pair, double from, double to) const;
+  std::optional<double> LeastBetween(const FlightState& flight, const GapPair& pair, double from, double to) const;
 
  private:
   const Scene& scene_;
