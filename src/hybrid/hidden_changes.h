@@ -22,9 +22,9 @@ struct HiddenChanges {
   bool unbounded = false;  // whether the shortest change has no bounds, as one beside a pole
 };
 
-// Which changes are looked for: those that steps may not see, by modes whose functions are flat beside them
-// (HybridFunctions::MayHideChanges), or also those that steps see and do not resolve, in all modes; of these all, or
-// those of the first step that has some, behind which the motion may be wrong.
+// Which changes are looked for. kHidden: those that steps may not see, by modes whose functions are flat beside them
+// (HybridFunctions::MayHideChanges). kAll: also those that steps see and do not resolve, in all modes. kFirst: as kAll,
+// but only those of the first step that has some, behind which the motion may be wrong.
 enum class Changes { kHidden, kAll, kFirst };
 
 // Finds changes that are larger than a relative tolerance of the states.

@@ -1330,8 +1330,8 @@ class HybridConditions {
 
   // Raises the sizes of states that change by rounding alone along the motion, such as the speed across a thruster that
   // points up, as cos(pi / 2) is 6e-17: to what their rates give where all states and one control have changed by their
-  // sizes, on the side where that is less (the density of air is none far below the ground). Returns whether some size
-  // was raised, by which the rates of other states become larger.
+  // sizes, on the side where that is less, as rates may grow beyond all bounds on the other: so does the density of air
+  // below the ground. Returns whether some size was raised, by which the rates of other states become larger.
   bool RaiseSizesOfRounding() {
     std::array<std::vector<VectorXd>, 2> reaches;  // by side and mode
     for (const int side : {0, 1}) {

@@ -31,8 +31,8 @@ struct Gap {
 
 // The state of all discs at a time of the interval, from which they fly on or back.
 struct FlightState {
-  double time = 0;  // s, since the beginning of the interval
-  std::vector<double> x;
+  double time = 0;        // s, since the beginning of the interval
+  std::vector<double> x;  // disc by disc as in simulator.h: position (m), velocity (m/s), then what spins
 };
 
 class IntervalGaps {
@@ -40,7 +40,8 @@ class IntervalGaps {
   static constexpr double kTouching = 1e-9;  // of a radius: the gap of discs that touch
   static constexpr double kNever = std::numeric_limits<double>::infinity();
 
-  // The interval lasts from `begin` to `end`, under `force` on all discs. Keeps references to scene and walls.
+  // The interval lasts from `begin` to `end`, under `force` (N, two numbers of each disc). Times of `touches` are in s
+  // since the beginning of the interval. Keeps references to scene and walls.
   IntervalGaps(const Scene& scene, std::span<const WallPart> walls, std::span<const Touch> touches,
                std::span<const double> force, const FlightState& begin, const FlightState& end);
 

@@ -131,7 +131,7 @@ class AugmentedLagrangian {
   std::vector<std::pair<Weighted*, std::vector<double*>>> functions_;
 };
 
-// The termination of a solver that has ended so, of so many iterations.
+// Returns how a solver that was allowed so many iterations has ended.
 Termination TerminationOf(const AugmentedLagrangian::Summary& summary, int iterations);
 
 }  // namespace saltus

@@ -62,13 +62,20 @@ class InteriorPointProblem final : public Ipopt::TNLP {
     }
     for (const ConstrainedFunction& function : functions) AddFunction(function);
     FindSizes();
-    for (const double* component : components_) start_.push_back(*component);
+    start_ = Variables();
   }
 
   // With its size as unit, a variable moves some row by about one. By default only those of very large or small sizes
   // have these units, such as metres of an orbit. Returns whether there are any.
   bool HasExtremeSizes() const { return std::ranges::any_of(sizes_, IsExtreme); }
   void TakeAllSizes() { takes_all_sizes_ = true; }
+
+  std::vector<double> Variables() const {
+    std::vector<double> x;
+    for (const double* component : components_) x.push_back(*component);
+    return x;
+  }
+  void MoveTo(const std::vector<double>& x) { Evaluate(x.data(), true); }
 
   bool get_nlp_info(Index& n, Index& m, Index& nonzeros_of_jacobian, Index& nonzeros_of_hessian,
                     IndexStyleEnum& style) override {
@@ -426,6 +433,13 @@ class InteriorPointProblem final : public Ipopt::TNLP {
   Matrix hessian_;
 };
 
+// Whether a solve has ended nearer to the constraints than another one, or with lower costs where both meet them.
+bool EndsBetter(const AugmentedLagrangian::Summary& end, const AugmentedLagrangian::Summary& than, double tolerance) {
+  if (!end.usable || !than.usable) return end.usable;
+  const bool meets = end.violation <= tolerance, other = than.violation <= tolerance;
+  return meets && other ? end.cost < than.cost : end.violation < than.violation;
+}
+
 }  // namespace
 
 bool HasInteriorPoint() { return true; }
@@ -449,7 +463,9 @@ AugmentedLagrangian::Summary MinimizeByInteriorPoint(const std::vector<Constrain
   application->Options()->SetStringValue("mu_strategy", "adaptive");
   const Ipopt::SmartPtr<InteriorPointProblem> nlp = new InteriorPointProblem(functions, options, problem, &summary);
   // Sizes of the start are good units of most variables, but not of angles that hardly matter at the start. So all of
-  // them are taken for a second attempt only.
+  // them are taken for a second attempt only. Without an optimum, the better end of the two is kept.
+  AugmentedLagrangian::Summary first;
+  std::vector<double> first_end;
   for (const bool takes_all_sizes : {false, true}) {
     const int rest = options.iterations - summary.iterations;
     if (takes_all_sizes) nlp->TakeAllSizes();
@@ -460,6 +476,16 @@ AugmentedLagrangian::Summary MinimizeByInteriorPoint(const std::vector<Constrain
       return summary;
     application->OptimizeTNLP(Ipopt::SmartPtr<Ipopt::TNLP>(GetRawPtr(nlp)));
     if (summary.converged || summary.interrupted) break;
+    if (!takes_all_sizes) {
+      first = summary;
+      first_end = nlp->Variables();
+    }
+  }
+  if (!summary.converged && EndsBetter(first, summary, options.tolerance)) {
+    nlp->MoveTo(first_end);
+    summary.usable = first.usable;
+    summary.cost = first.cost;
+    summary.violation = first.violation;
   }
   return summary;
 }

@@ -164,7 +164,7 @@ class HybridSearch {
       motion->parameters = report.solution.parameters;
       if (!report.solution.durations.empty()) motion->durations = report.solution.durations;
     }
-    // By a run of its own: several threads are here, and a run has one simulator.
+    // Several threads are here, and a run has one simulator: each start is simulated by another run.
     if (start.is_more) *motion = HybridPhaseRun("mode_search", problem_, options, std::move(*motion)).guess();
     return report.work.evaluations;
   }

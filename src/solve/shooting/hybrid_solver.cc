@@ -476,7 +476,7 @@ SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions
   if (constrained && free.duration && 2 * problem.guess.duration <= free.duration_max && first != order.end()) {
     order.insert(first + 1, kLonger);
   }
-  bool misses = false;  // whether ipopt has met no constraints
+  bool misses = false;  // whether the last solve was by ipopt and missed constraints
   const auto solve = [&](std::string_view name, const SolverOptions& of_solve, const SolveReport* from) {
     const bool longer = name == kLonger;
     const HybridSolverEntry& entry =
