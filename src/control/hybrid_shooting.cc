@@ -22,9 +22,18 @@ using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowM
 // A reverse sweep for a row of the Jacobian takes as long as the forward sweep of so many columns.
 constexpr int kColumnsOfRow = 4;
 
-// The group of a term's residuals: those of equalities come first, then those of inequalities, then those of costs.
+// The group of a term's residuals, in their order.
 int GroupOf(const HybridTerm& term) {
-  return term.role == HybridTerm::Role::kEquality ? 0 : term.role == HybridTerm::Role::kInequality ? 1 : 2;
+  switch (term.role) {
+    case HybridTerm::Role::kEquality:
+      return 0;
+    case HybridTerm::Role::kInequality:
+      return 1;
+    case HybridTerm::Role::kValue:
+      return 2;
+    default:
+      return 3;
+  }
 }
 
 bool IsAtEachEvent(const HybridTerm& term) { return term.at == HybridTerm::Timing::kEvent && term.occurrence < 0; }
@@ -83,7 +92,7 @@ bool HybridShooting::HasRows(const HybridTerm& term) const {
 }
 
 void HybridShooting::CountResiduals() {
-  int counts[] = {0, 0, 0};
+  int counts[] = {0, 0, 0, 0};
   for (const HybridTerm& term : problem_.terms) {
     if (!HasRows(term)) continue;
     const bool repeats = term.at == HybridTerm::Timing::kEachInterval && term.interval < 0;
@@ -92,7 +101,8 @@ void HybridShooting::CountResiduals() {
   }
   num_equalities_ = counts[0];
   num_inequalities_ = counts[1];
-  num_residuals_ = counts[0] + counts[1] + counts[2];
+  num_values_ = counts[2];
+  num_residuals_ = counts[0] + counts[1] + counts[2] + counts[3];
 }
 
 bool HybridShooting::IsOfIntervalAlone(const HybridTerm& term) {
@@ -149,7 +159,8 @@ bool HybridShooting::Fail(std::string why) {
 
 bool HybridShooting::FindPlaces() {
   places_.clear();
-  int next_rows[] = {0, num_equalities_, num_equalities_ + num_inequalities_};
+  const int first_value = num_equalities_ + num_inequalities_;
+  int next_rows[] = {0, num_equalities_, first_value, first_value + num_values_};
   const std::vector<double> times = input_.Times();
   const std::vector<HybridEvent>& events = Events();
   const HybridFunctions& functions = problem_.system.functions();

@@ -47,11 +47,12 @@ class HybridShooting : public ShootingFunction {
   // others.
   bool LeaveOutCostsOfIntervals();
 
-  // The residuals of equalities come first, then those of inequalities, and then those of costs. Constraints at each
-  // event have none, because their number changes with the motion.
+  // The residuals of equalities come first, then those of inequalities, of costs that are no squares, and of squares.
+  // Constraints at each event have none, because their number changes with the motion.
   int num_residuals() const override { return num_residuals_; }
   int num_equalities() const { return num_equalities_; }
   int num_inequalities() const { return num_inequalities_; }
+  int num_values() const { return num_values_; }
   bool EvaluateResiduals(std::span<const double> z, double* residuals, double* jacobian) override;
   void ResidualJacobian(double* jacobian) override;
 
@@ -165,7 +166,7 @@ class HybridShooting : public ShootingFunction {
   HybridInput input_;          // of the last rollout
   std::vector<Place> places_;  // of costs, and then of constraints
   bool leaves_out_ = false;    // the residuals of costs of intervals alone
-  int num_residuals_ = 0, num_equalities_ = 0, num_inequalities_ = 0;
+  int num_residuals_ = 0, num_equalities_ = 0, num_inequalities_ = 0, num_values_ = 0;
   std::string why_;
   int num_adjoints_ = 0;
 };

@@ -55,9 +55,11 @@ class AugmentedLagrangian {
  public:
   enum class Algorithm { kLeastSquares, kInteriorPoint };
   struct Options {
-    // kInteriorPoint solves the problem by interior_point.h, which reads `iterations`, `tolerance` and `callback`
-    // alone.
+    // kInteriorPoint solves the problem by interior_point.h, which reads `iterations`, `tolerance`, `callback` and
+    // `is_shooting` alone.
     Algorithm algorithm = Algorithm::kLeastSquares;
+    // Whether states are eliminated. Slopes of rows are then those of whole motions.
+    bool is_shooting = false;
     int iterations = 200;                                    // of all solves together, at most
     int rounds = 24;                                         // solves, at most
     double equality_weight = 1e4, inequality_weight = 1e-2;  // of the first solve

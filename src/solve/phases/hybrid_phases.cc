@@ -714,11 +714,6 @@ SolveReport UpdateHybridSequence(HybridPhaseRun* run) {
             const ContinuePredicate& may_continue) { return TryByTranscription(run, plan, start, may_continue); });
 }
 
-namespace {
-
-using Algorithm = AugmentedLagrangian::Algorithm;
-
-// The numbers of control intervals of the solves from coarse to fine; the last is that of the guess.
 std::vector<int> GridsOf(const HybridProblem& problem, const SolverOptions& options) {
   constexpr int kCoarsest = 20;
   std::vector<int> grids = {problem.guess.num_intervals};
@@ -729,7 +724,6 @@ std::vector<int> GridsOf(const HybridProblem& problem, const SolverOptions& opti
   return grids;
 }
 
-// The problem with the guess on equal intervals, of which each has the control in its middle.
 HybridProblem ResampleOnGrid(HybridProblem problem, int intervals) {
   HybridInput& guess = problem.guess;
   if (intervals == guess.num_intervals) return problem;
@@ -743,6 +737,27 @@ HybridProblem ResampleOnGrid(HybridProblem problem, int intervals) {
   guess.num_intervals = intervals;
   return problem;
 }
+
+std::optional<SolveReport> RecogniseGuess(std::string_view solver, const HybridProblem& problem,
+                                          const SolverOptions& options) {
+  SolverOptions silent = options;
+  silent.monitor.callback = nullptr;
+  HybridPhaseRun run(solver, problem, silent);
+  const HybridMotion& guess = run.guess();
+  if (!guess.exact.ok || !(run.ViolationOf(guess) <= kFeasible)) return std::nullopt;
+  const Certificate& certificate = run.Certify(guess);
+  // With neither a curvature nor a reason no direction is left that keeps the constraints.
+  const bool is_minimum =
+      certificate.curvature ? certificate.curvature->kind == Curvature::Kind::kMinimum : certificate.reason.empty();
+  if (certificate.verdict != Certificate::Verdict::kStationary || !is_minimum) return std::nullopt;
+  if (options.monitor.callback) options.monitor.callback(0, guess.exact.loss);
+  run.report().certificate = certificate;
+  return run.Finish(guess, guess.exact.loss, Termination::kConverged, "the guess is an optimum");
+}
+
+namespace {
+
+using Algorithm = AugmentedLagrangian::Algorithm;
 
 // The events along which the options ask to solve; none: those of the motion.
 std::optional<std::vector<ModeEvent>> GivenSequence(const SolverOptions& options) {
@@ -796,24 +811,6 @@ SolveReport SolveHybrid(std::string_view solver, Algorithm algorithm, const Hybr
   report.guess.loss = report.history.losses.front() = guess->guess().exact.loss;
   report.guess.violation = guess->ViolationOf(guess->guess());
   return report;
-}
-
-// The report of a guess that its certificate proves to be a local optimum.
-std::optional<SolveReport> RecogniseGuess(std::string_view solver, const HybridProblem& problem,
-                                          const SolverOptions& options) {
-  SolverOptions silent = options;
-  silent.monitor.callback = nullptr;
-  HybridPhaseRun run(solver, problem, silent);
-  const HybridMotion& guess = run.guess();
-  if (!guess.exact.ok || !(run.ViolationOf(guess) <= kFeasible)) return std::nullopt;
-  const Certificate& certificate = run.Certify(guess);
-  // With neither a curvature nor a reason no direction is left that keeps the constraints.
-  const bool is_minimum =
-      certificate.curvature ? certificate.curvature->kind == Curvature::Kind::kMinimum : certificate.reason.empty();
-  if (certificate.verdict != Certificate::Verdict::kStationary || !is_minimum) return std::nullopt;
-  if (options.monitor.callback) options.monitor.callback(0, guess.exact.loss);
-  run.report().certificate = certificate;
-  return run.Finish(guess, guess.exact.loss, Termination::kConverged, "the guess is an optimum");
 }
 
 // Solves on the intervals asked for; if that ends without an optimum, from coarse to fine: the optimum of a coarse grid

@@ -149,4 +149,14 @@ SolveReport SolveHybridByInteriorPoint(const HybridProblem& problem, const Solve
 
 SolveReport UpdateHybridSequence(HybridPhaseRun* run);
 
+// Returns the report of a guess that its certificate proves to be a local optimum; nothing of another.
+std::optional<SolveReport> RecogniseGuess(std::string_view solver, const HybridProblem& problem,
+                                          const SolverOptions& options);
+
+// Returns the numbers of control intervals of solves from coarse to fine; the last is that of the guess.
+std::vector<int> GridsOf(const HybridProblem& problem, const SolverOptions& options);
+
+// Returns the problem with the guess on equal intervals, of which each has the control in its middle.
+HybridProblem ResampleOnGrid(HybridProblem problem, int intervals);
+
 }  // namespace saltus

@@ -47,6 +47,8 @@ constexpr double kNoBound = 2e19;   // IPOPT takes a bound beyond 1e19 for none
 constexpr double kWidth = 1e-6;     // of differences, relative to the size of a variable
 constexpr double kRelaxed = 1e-13;  // of bounds: controls that go back to them hardly move, and keep constraints
 constexpr double kExtreme = 1e3;    // the size of a variable, or its inverse
+constexpr int kMostRestoring = 40;  // iterations in a row that look for a feasible point alone
+constexpr int kMostCurved = 200;    // columns of a function whose Hessian is found by differences
 constexpr double kInactive = 1e-8;  // of the largest multiplier: constraints with less add nothing to the Hessian
 
 // The problem as IPOPT asks for it. Variables are the free components of the parameter blocks, in the order in which
@@ -69,6 +71,12 @@ class InteriorPointProblem final : public Ipopt::TNLP {
   // have these units, such as metres of an orbit. Returns whether there are any.
   bool HasExtremeSizes() const { return std::ranges::any_of(sizes_, IsExtreme); }
   void TakeAllSizes() { takes_all_sizes_ = true; }
+
+  int MostCurvedColumns() const {
+    std::size_t most = 0;
+    for (const Function& function : functions_) most = std::max(most, function.curved.size());
+    return static_cast<int>(most);
+  }
 
   std::vector<double> Variables() const {
     std::vector<double> x;
@@ -194,12 +202,17 @@ class InteriorPointProblem final : public Ipopt::TNLP {
                              Number /*dual*/, Number /*mu*/, Number /*step*/, Number /*regularization*/,
                              Number /*dual_length*/, Number /*primal_length*/, Index /*trials*/,
                              const Ipopt::IpoptData* data, Ipopt::IpoptCalculatedQuantities* quantities) override {
-    if (iteration == 0) return true;
+    if (iteration == 0) {
+      restoring_ = 0;
+      return true;
+    }
     ++summary_.iterations;
-    if (!options_.callback) return true;
-    if (mode == Ipopt::RegularMode) MoveTo(data, quantities);
-    summary_.interrupted = !options_.callback(Cost());
-    return !summary_.interrupted;
+    restoring_ = mode == Ipopt::RegularMode ? 0 : restoring_ + 1;
+    if (options_.callback) {
+      if (mode == Ipopt::RegularMode) MoveTo(data, quantities);
+      summary_.interrupted = !options_.callback(Cost());
+    }
+    return !summary_.interrupted && restoring_ < kMostRestoring;
   }
 
   void finalize_solution(Ipopt::SolverReturn status, Index /*n*/, const Number* x, const Number* /*z_lower*/,
@@ -305,17 +318,29 @@ class InteriorPointProblem final : public Ipopt::TNLP {
     }
   }
 
-  // The size of a variable is the change that moves some row, of order one, by one.
+  // The size of a variable is the change that moves some row, of order one, by one; of a row that is a cost the slope
+  // vanishes at an optimum, and tells nothing. Without other rows, and by shooting, it is the width of its bounds.
   void FindSizes() {
-    sizes_.assign(components_.size(), 0.0);
+    std::vector<double> steepest(components_.size(), 0.0);
     for (Function& function : functions_) {
       if (!function.Evaluate(function.pointers.data())) continue;
       for (const Column& column : function.columns) {
-        const double steepest = function.jacobians[column.block].col(column.component).cwiseAbs().maxCoeff();
-        if (std::isfinite(steepest)) sizes_[column.variable] = std::max(sizes_[column.variable], steepest);
+        for (int row = 0; row < function.num_rows(); ++row) {
+          if (row >= function.num_constraints() && function.IsValue(row)) continue;
+          const double slope = std::abs(function.JacobianEntry(row, column));
+          if (std::isfinite(slope)) steepest[column.variable] = std::max(steepest[column.variable], slope);
+        }
       }
     }
-    for (size_t i = 0; i < sizes_.size(); ++i) sizes_[i] = 1 / (sizes_[i] > 0 ? sizes_[i] : 1);
+    for (size_t i = 0; i < components_.size(); ++i) {
+      const double width = upper_[i] - lower_[i];
+      const bool is_bounded = width > 0 && width < kNoBound;
+      if (steepest[i] > 0 && !(options_.is_shooting && is_bounded)) {
+        sizes_.push_back(1 / steepest[i]);
+      } else {
+        sizes_.push_back(is_bounded ? width : std::max(std::abs(*components_[i]), 1.0));
+      }
+    }
   }
 
   void Take(const Number* x) {
@@ -428,7 +453,7 @@ class InteriorPointProblem final : public Ipopt::TNLP {
   std::vector<double*> components_;                                 // of each variable
   std::vector<double> lower_, upper_, sizes_, start_;
   std::vector<Function> functions_;
-  int num_rows_ = 0;
+  int num_rows_ = 0, restoring_ = 0;
   bool evaluated_ = false, linearized_ = false, takes_all_sizes_ = false;
   Matrix hessian_;
 };
@@ -462,6 +487,9 @@ AugmentedLagrangian::Summary MinimizeByInteriorPoint(const std::vector<Constrain
   application->Options()->SetNumericValue("bound_relax_factor", kRelaxed);
   application->Options()->SetStringValue("mu_strategy", "adaptive");
   const Ipopt::SmartPtr<InteriorPointProblem> nlp = new InteriorPointProblem(functions, options, problem, &summary);
+  if (nlp->MostCurvedColumns() > kMostCurved) {
+    application->Options()->SetStringValue("hessian_approximation", "limited-memory");
+  }
   // Sizes of the start are good units of most variables, but not of angles that hardly matter at the start. So all of
   // them are taken for a second attempt only. Without an optimum, the better end of the two is kept.
   AugmentedLagrangian::Summary first;

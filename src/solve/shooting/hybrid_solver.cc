@@ -17,6 +17,7 @@
 #include "saltus/optimality/hybrid_certificate.h"
 #include "solve/enough_steps.h"
 #include "solve/phases/hybrid_phases.h"
+#include "solve/phases/interior_point.h"
 #include "solve/search/hybrid_search.h"
 #include "solve/shooting/single_shooting_solvers.h"
 #include "solve/solve_chain.h"
@@ -26,6 +27,8 @@ namespace saltus {
 namespace {
 
 constexpr int kFewColumns = 200;         // of a dense Jacobian, up to which its factors cost less than those of phases
+constexpr int kFirstIterations = 100;    // of phases, before the states are eliminated
+constexpr int kFromNear = 100;           // iterations of phases from the solution on few intervals
 constexpr double kZero = 1e-12;          // of the loss of the guess: a loss that is zero
 constexpr double kNoSlope = 1e-8;        // of the largest one: of a state whose target is met
 constexpr double kNearJump = 1e-3;       // of an interval: how near to a jump of the control an event is named
@@ -132,17 +135,30 @@ std::string UnsupportedByLbfgs(const HybridProblem& problem) {
   return UnsupportedByShooting(problem);
 }
 
+// Of all constraints and costs that have rows of their own.
+std::string UnsupportedByRows(const HybridProblem& problem) {
+  for (const HybridTerm& term : problem.terms) {
+    const bool at_each_event = term.at == HybridTerm::Timing::kEvent && term.occurrence < 0;
+    if (at_each_event && term.role != HybridTerm::Role::kCost) {
+      return term.name + " is a " + (term.IsCost() ? "cost that is no square" : "constraint") +
+             " at each event, whose number changes with the motion: use ceres_phases or ipopt";
+    }
+  }
+  return UnsupportedByAllSolvers(problem);
+}
+
 std::string UnsupportedByLm(const HybridProblem& problem) {
   for (const HybridTerm& term : problem.terms) {
     if (term.role == HybridTerm::Role::kValue) {
       return term.name + " is a cost that is no square: least squares needs squares";
     }
-    if (term.at == HybridTerm::Timing::kEvent && term.occurrence < 0 && !term.IsCost()) {
-      return term.name +
-             " is a constraint at each event, whose number changes with the motion: use ceres_phases or ipopt";
-    }
   }
-  return UnsupportedByAllSolvers(problem);
+  return UnsupportedByRows(problem);
+}
+
+std::string UnsupportedByShootingInside(const HybridProblem& problem) {
+  const std::string reason = ReasonNoInteriorPoint();
+  return reason.empty() ? UnsupportedByRows(problem) : reason;
 }
 
 // Returns a report whose solver can lower the loss no more, as converged if the certificate proves an optimum: steps
@@ -259,38 +275,86 @@ void AddCostsOfIntervals(const HybridProblem& problem, const VariableBlocks& var
 }
 
 // Minimises with constraints, and reports by how much they are violated.
-SolveReport MinimizeWithConstraints(HybridRun* run,
+SolveReport MinimizeWithConstraints(HybridRun* run, AugmentedLagrangian::Algorithm algorithm,
                                     const std::function<void(const VariableBlocks&, ceres::Problem*)>& set_bounds) {
   HybridShooting& shooting = run->shooting();
-  const RowRoles roles{.equalities = shooting.num_equalities(), .inequalities = shooting.num_inequalities()};
+  const RowRoles roles{.equalities = shooting.num_equalities(),
+                       .inequalities = shooting.num_inequalities(),
+                       .values = shooting.num_values()};
   HybridShooting::Outcome at_guess, at_end;
   shooting.Simulate(shooting.InputAt(run->initial_guess()), &at_guess);
-  SolveReport report = MinimizeWithConstraints(run, run->initial_guess(), roles, set_bounds);
+  SolveReport report = MinimizeWithConstraints(run, run->initial_guess(), roles, algorithm, set_bounds);
   shooting.Simulate(SolutionOf(shooting.problem(), report), &at_end);
   report.guess.violation = at_guess.violation;
   report.solution.violation = at_end.violation;
   return report;
 }
 
+// Sets the bounds of the variables of a run.
+void SetBounds(const HybridShooting& shooting, const VariableBlocks& variables, ceres::Problem* ceres) {
+  std::size_t at = 0;
+  for (std::size_t block = 0; block < variables.sizes.size(); ++block) {
+    for (int i = 0; i < variables.sizes[block]; ++i, ++at) {
+      const auto& [kind, index, min, max] = shooting.variables()[at];
+      if (std::isfinite(min)) ceres->SetParameterLowerBound(variables.blocks[block], i, min);
+      if (std::isfinite(max)) ceres->SetParameterUpperBound(variables.blocks[block], i, max);
+    }
+  }
+}
+
+SolveReport MinimizeInside(const HybridProblem& problem, const SolverOptions& options) {
+  HybridRun run("ipopt", problem, options);
+  const auto set_bounds = [&](const VariableBlocks& variables, ceres::Problem* ceres) {
+    SetBounds(run.shooting(), variables, ceres);
+  };
+  return AcceptOptimum(problem,
+                       MinimizeWithConstraints(&run, AugmentedLagrangian::Algorithm::kInteriorPoint, set_bounds));
+}
+
+// The interior-point method of IPOPT with the states eliminated: it never leaves the motions of the system. An
+// iteration takes a roll-out for each variable, so that of many intervals few are solved in this way, and the others
+// by phases from there.
+SolveReport SolveByShootingInside(const HybridProblem& problem, const SolverOptions& options) {
+  if (std::optional<SolveReport> report = RecogniseGuess("ipopt", problem, options)) return *report;
+  const std::vector<int> grids = GridsOf(problem, options);
+  if (grids.size() == 1) return MinimizeInside(problem, options);
+  SolveChain chain(options);
+  const HybridProblem coarse = ResampleOnGrid(problem, grids.front());
+  SolveReport report = MinimizeInside(coarse, options);
+  if (report.termination == Termination::kInterrupted || report.history.losses.empty()) return report;
+  chain.Add(report);
+  HybridProblem fine = problem;
+  fine.guess_states.clear();
+  fine.guess = SolutionOf(coarse, report);
+  fine.guess.lengths.clear();
+  fine = ResampleOnGrid(std::move(fine), problem.guess.num_intervals);
+  const bool has_few_columns = problem.guess.num_intervals * problem.system.num_controls() <= kFewColumns;
+  SolverOptions by_phases = chain.Next();
+  if (has_few_columns) by_phases.limits.iterations = std::min(by_phases.limits.iterations, kFromNear);
+  report = SolveHybridByInteriorPoint(fine, by_phases);
+  chain.Add(report);
+  const bool has_ended =
+      report.termination == Termination::kConverged || report.termination == Termination::kInterrupted;
+  if (!has_ended && has_few_columns && !chain.IsOutOfIterations()) {
+    report = MinimizeInside(fine, chain.Next());
+    chain.Add(report);
+  }
+  return chain.Finish(std::move(report));
+}
+
 SolveReport SolveByLm(const HybridProblem& problem, const SolverOptions& options) {
   HybridRun run("ceres_lm", problem, options);
   HybridShooting& shooting = run.shooting();
-  const auto set_bounds = [&](const VariableBlocks& variables, ceres::Problem* ceres) {
-    std::size_t at = 0;
-    for (std::size_t block = 0; block < variables.sizes.size(); ++block) {
-      for (int i = 0; i < variables.sizes[block]; ++i, ++at) {
-        const auto& [kind, index, min, max] = shooting.variables()[at];
-        if (std::isfinite(min)) ceres->SetParameterLowerBound(variables.blocks[block], i, min);
-        if (std::isfinite(max)) ceres->SetParameterUpperBound(variables.blocks[block], i, max);
-      }
-    }
-  };
   if (shooting.num_equalities() + shooting.num_inequalities() > 0) {
-    return AcceptOptimum(problem, MinimizeWithConstraints(&run, set_bounds));
+    const auto set_bounds = [&](const VariableBlocks& variables, ceres::Problem* ceres) {
+      SetBounds(shooting, variables, ceres);
+    };
+    return AcceptOptimum(problem,
+                         MinimizeWithConstraints(&run, AugmentedLagrangian::Algorithm::kLeastSquares, set_bounds));
   }
   const bool apart = problem.free.control && shooting.LeaveOutCostsOfIntervals();
   const auto add_terms = [&](const VariableBlocks& variables, ceres::Problem* ceres) {
-    set_bounds(variables, ceres);
+    SetBounds(shooting, variables, ceres);
     if (apart) AddCostsOfIntervals(problem, variables, ceres);
   };
   return AcceptOptimum(problem,
@@ -469,24 +533,37 @@ SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions
     order.push_back("mode_search");
   }
   const bool constrained = !std::ranges::all_of(problem.terms, &HybridTerm::IsCost);
-  // Where no motion of about the guess's duration meets the constraints, their least violation may be a local minimum.
-  constexpr std::string_view kLonger = "ipopt from twice the duration";
-  const auto first = std::ranges::find(order, "ipopt");
+  // Where phases are slow to find a way, eliminated states may be fast. Where no motion of about the guess's duration
+  // meets the constraints, their least violation may be a local minimum.
+  constexpr std::string_view kInside = "ipopt with the states eliminated", kLonger = "ipopt from twice the duration",
+                             kMore = "ipopt in more iterations";
   const HybridFree& free = problem.free;
-  if (constrained && free.duration && 2 * problem.guess.duration <= free.duration_max && first != order.end()) {
-    order.insert(first + 1, kLonger);
+  const bool is_smooth = HasNoEvents(system) && problem.guess_states.empty();
+  if (const auto first = std::ranges::find(order, "ipopt"); first != order.end()) {
+    // Phases pass by motions that miss squares of states by much; without these, nothing is gained by leaving motions.
+    const bool has_targets = std::ranges::any_of(
+        problem.terms, [](const HybridTerm& term) { return term.role == HybridTerm::Role::kCost && term.with_state; });
+    std::vector<std::string_view> attempts = {"ipopt", kInside};
+    if (!constrained && !has_targets && is_smooth) std::swap(attempts[0], attempts[1]);
+    if (constrained && free.duration && 2 * problem.guess.duration <= free.duration_max) attempts.push_back(kLonger);
+    if (is_smooth) attempts.push_back(kMore);
+    order.insert(order.erase(first), attempts.begin(), attempts.end());
   }
-  bool misses = false;  // whether the last solve was by ipopt and missed constraints
-  const auto solve = [&](std::string_view name, const SolverOptions& of_solve, const SolveReport* from) {
-    const bool longer = name == kLonger;
+  bool misses = false, ran_out = false;  // whether the last solve by ipopt missed constraints; ended before its time
+  const auto solve = [&](std::string_view name, SolverOptions of_solve, const SolveReport* from) {
+    static const HybridSolverEntry inside = {kInside, "", UnsupportedByShootingInside, SolveByShootingInside};
+    const bool is_phases = name == "ipopt" || name == kLonger || name == kMore;
     const HybridSolverEntry& entry =
-        *std::ranges::find(HybridSolvers(), longer ? "ipopt" : name, &HybridSolverEntry::name);
+        name == kInside ? inside
+                        : *std::ranges::find(HybridSolvers(), is_phases ? "ipopt" : name, &HybridSolverEntry::name);
     SolveReport report;
     report.termination = Termination::kNotApplicable;
-    if (longer && !misses) {
+    if ((name == kLonger && !misses) || (name == kMore && !ran_out)) {
       report.reason = why;
       return report;
     }
+    const bool is_first = name == "ipopt" && from == nullptr && is_smooth;
+    if (is_first) of_solve.limits.iterations = std::min(of_solve.limits.iterations, kFirstIterations);
     // With constraints, shooting has found no optimum that phases have not.
     report.reason =
         name == "ceres_lm" && constrained ? UnsupportedByShooting(problem) : entry.reason_not_applicable(problem);
@@ -496,13 +573,14 @@ SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions
       start.guess = SolutionOf(problem, *from);
       start.guess_states.clear();
     }
-    if (longer) {
+    if (name == kLonger) {
       start.guess.duration *= 2;
       for (double& length : start.guess.lengths) length *= 2;
     }
     report = SolveBy(entry, start, of_solve);
     JudgeSolution(problem, &report);
-    misses = name == "ipopt" && report.solution.violation > kFeasible;
+    if (is_phases || name == kInside) misses = report.solution.violation > kFeasible;
+    if (is_first) ran_out = report.termination == Termination::kIterationLimit;
     return report;
   };
   // Shooting comes first: it never leaves the motions of the system, of which the best is one.

@@ -230,14 +230,17 @@ class ScaledEffortCost final : public ceres::CostFunction {
 // The residuals of all terms but the effort, as one vector, as a function of all variables.
 class ShootingCost final : public ceres::CostFunction {
  public:
-  // The rows from `first_cost` on are divided by the root of a loss.
-  ShootingCost(ShootingFunction* shooting, const std::vector<int>& block_sizes, int first_cost = 0, double loss = 1)
+  // Costs are divided by a loss.
+  ShootingCost(ShootingFunction* shooting, const std::vector<int>& block_sizes, const RowRoles& roles = {},
+               double loss = 1)
       : shooting_(shooting),
         scale_(Eigen::VectorXd::Ones(shooting->num_residuals())),
         z_(shooting->num_variables()),
         residuals_(shooting->num_residuals()),
         jacobian_(residuals_.size() * z_.size()) {
-    scale_.tail(scale_.size() - first_cost).setConstant(1 / std::sqrt(loss));
+    const int first_cost = roles.equalities + roles.inequalities;
+    scale_.segment(first_cost, roles.values).setConstant(1 / loss);
+    scale_.tail(scale_.size() - first_cost - roles.values).setConstant(1 / std::sqrt(loss));
     set_num_residuals(static_cast<int>(residuals_.size()));
     *mutable_parameter_block_sizes() = block_sizes;
   }
@@ -449,7 +452,7 @@ SolveReport MinimizeLeastSquares(
 }
 
 SolveReport MinimizeWithConstraints(
-    ShootingRun* run, std::vector<double> z, const RowRoles& roles,
+    ShootingRun* run, std::vector<double> z, const RowRoles& roles, AugmentedLagrangian::Algorithm algorithm,
     const std::function<void(const VariableBlocks& variables, ceres::Problem* problem)>& set_bounds) {
   double guess_loss = 0;
   if (!run->function().Evaluate(z, &guess_loss, nullptr)) {
@@ -459,12 +462,14 @@ SolveReport MinimizeWithConstraints(
   const double scale = guess_loss != 0 ? std::abs(guess_loss) : 1;
   AugmentedLagrangian problem;
   const std::vector<int> sizes = {static_cast<int>(z.size())};
-  auto shot = std::make_unique<ShootingCost>(&run->function(), sizes, roles.equalities + roles.inequalities, scale);
+  auto shot = std::make_unique<ShootingCost>(&run->function(), sizes, roles, scale);
   problem.Add(std::move(shot), roles, {z.data()});
   set_bounds({sizes, {z.data()}}, &problem.problem());
 
   double loss = guess_loss;
   AugmentedLagrangian::Options rounds;
+  rounds.algorithm = algorithm;
+  rounds.is_shooting = true;
   rounds.iterations = run->options().limits.iterations;
   rounds.weight_of_costs = kWeightOfCosts;
   rounds.callback = [&](double cost) {

@@ -59,10 +59,10 @@ SolveReport MinimizeLeastSquares(
     ShootingRun* run, std::vector<double> z, int num_own, double offset,
     const std::function<void(const VariableBlocks& variables, ceres::Problem* problem)>& add_terms);
 
-// Minimises with constraints, by an augmented Lagrangian (augmented_lagrangian.h) from z: the first rows of the run's
-// function are equalities and inequalities, the others squares of costs. `set_bounds` may bound z, which is within.
+// Minimises with constraints, by an augmented Lagrangian or an interior-point method (augmented_lagrangian.h) from z.
+// The rows of the run's function have these roles. `set_bounds` may bound z, which is within.
 SolveReport MinimizeWithConstraints(
-    ShootingRun* run, std::vector<double> z, const RowRoles& roles,
+    ShootingRun* run, std::vector<double> z, const RowRoles& roles, AugmentedLagrangian::Algorithm algorithm,
     const std::function<void(const VariableBlocks& variables, ceres::Problem* problem)>& set_bounds);
 
 // The residuals are the terminal ones and sqrt(effort dt) u; running terms at Gauss' nodes of each step, via terms and

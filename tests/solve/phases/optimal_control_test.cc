@@ -121,6 +121,20 @@ struct Rayleigh {
     xdot[2] = u[0] * u[0] + x[0] * x[0];
   }
 };
+// A treatment of infected cells: healthy cells, infected ones, virus, and the integral of what is to be large, of which
+// the price of the treatment is a part or not. The virus grows a thousandfold.
+template <bool kWithPrice>
+struct Treatment {
+  template <typename T>
+  void operator()(const T* x, const T* u, T* xdot) const {
+    const T infected = 2.4e-5 * x[2] * x[0];
+    xdot[0] = 10.0 / (1.0 + x[2]) - 0.02 * x[0] + 0.03 * x[0] * (1.0 - (x[0] + x[1]) / 1500.0) - infected;
+    xdot[1] = infected - 0.5 * x[1];
+    xdot[2] = 600.0 * x[1] * (1.0 - u[0]) - 4.4 * x[2];
+    xdot[3] = 1e-3 * x[0];
+    if (kWithPrice) xdot[3] -= 0.05 * u[0] * u[0];
+  }
+};
 // A spacecraft with a small thrust in the direction u from the tangent: radius, speeds along it and across, and mass.
 // Units are those in which the first orbit has the radius kLength, and a period of 2 pi kTime.
 constexpr double kMetres = 1.495978707e11, kSeconds = 5.0226757e6;
@@ -463,6 +477,37 @@ TEST(OptimalControl, StatesThatChangeByRoundingHaveSizes) {
     losses.push_back(report.solution.loss);
   }
   EXPECT_NEAR(losses[1], losses[0], 1e-7);
+}
+
+template <bool kWithPrice>
+HybridProblem TreatmentProblem() {
+  HybridProblem problem = Problem<Treatment<kWithPrice>, 4, 1>({800, 0.04, 1.5, 0}, 50, 0.3, 20);
+  problem.terms = {StateRows<1, 4>(Timing::kEnd, Role::kValue, {3}, {-1}, {0})};
+  if (!kWithPrice) problem.terms.push_back(MakeEffortCost(0.05, 1));
+  problem.free.control_min = {0};
+  problem.free.control_max = {1};
+  return problem;
+}
+
+// States that grow lead phases far astray, where roll-outs never are.
+TEST(OptimalControl, SolvesWhereStatesGrow) {
+  if (!HasInteriorPoint()) GTEST_SKIP() << "this build has no IPOPT";
+  constexpr double kBySequentialQuadraticProgramming = -42.7355022;  // of SciPy, with roll-outs of its own
+  const SolveReport report = Solve("auto", TreatmentProblem<true>(), {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_NEAR(report.solution.loss, kBySequentialQuadraticProgramming, 1e-6);
+  HybridProblem problem = TreatmentProblem<false>();
+  const SolveReport same = Solve("auto", problem, {});
+  ASSERT_EQ(same.termination, Termination::kConverged) << same.reason;
+  EXPECT_NEAR(same.solution.loss, report.solution.loss, 1e-7);
+  constexpr double kMostVirus = 100;
+  problem.terms.push_back(StateRows<1, 4>(Timing::kEnd, Role::kInequality, {2}, {1}, {kMostVirus}));
+  const SolveReport less = Solve("auto", problem, {});
+  ASSERT_EQ(less.termination, Termination::kConverged) << less.reason;
+  EXPECT_LE(less.solution.violation, kFeasible);
+  EXPECT_GT(less.solution.loss, report.solution.loss);
+  ASSERT_TRUE(less.certificate);
+  EXPECT_TRUE(less.certificate->IsStationary()) << less.certificate->reason;
 }
 
 struct CartAndPole {
