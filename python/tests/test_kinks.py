@@ -245,3 +245,26 @@ def test_an_optimum_that_touches_beside_a_waypoint(spins, solver):
     best = least(0.0, 1.0, 0.2, [0, 0.5, 1]) + least(0.6, 0.6, 0.5, [0.6, -0.5, 0.6])
     turn = 0.05 * (0.05 * 2.0)**2 if spins else 0.0  # the effort of the torque that turns it, as of a force at the rim
     assert_allclose(run.final_loss, best + turn, rtol=1e-4)
+
+
+@pytest.mark.parametrize("guess", [0.5, 0.2])
+def test_a_kinked_optimum_is_named(guess):
+    """The least value of max(p, 1 - p) is at its kink, p = 1/2; a smooth loss whose iterations end has none."""
+    system = saltus.HybridSystem(
+        states={"m": ["x"]}, parameters=["p"], flow={"m": lambda x, p: [np.maximum(p[0], 1 - p[0])]}
+    )
+    problem = saltus.HybridProblem(system, mode="m", initial=[0], parameters=[guess], duration=1.0)
+    problem.costs = [saltus.cost(lambda x: x[0])]
+    run = saltus.solve(problem, optimize=["p"], bounds={"p": (0, 1)})
+    assert run.termination == "no_progress"
+    assert "the loss has a kink at the solution" in run.reason
+    np.testing.assert_allclose(run.parameters, 0.5, atol=1e-5)
+
+    smooth = saltus.HybridSystem(
+        states={"m": ["x"]}, parameters=["p"], flow={"m": lambda x, p: [np.cosh(3 * p[0] - 1) + 0.1 * np.sin(9 * p[0])]}
+    )
+    problem = saltus.HybridProblem(smooth, mode="m", initial=[0], parameters=[guess], duration=1.0)
+    problem.costs = [saltus.cost(lambda x: x[0])]
+    run = saltus.solve(problem, optimize=["p"], bounds={"p": (0, 1)}, iterations=2)
+    assert run.termination == "iteration_limit"
+    assert "kink" not in run.reason

@@ -478,6 +478,51 @@ void JudgeSolution(const HybridProblem& problem, SolveReport* report) {
                              : "no small change of the control changes " + Joined(out.states) + " at the end" + larger);
 }
 
+// Whether the loss has a kink where a run has ended that no step along its slope passes: small ones, which keep the
+// constraints to first order, raise it in proportion to their length, though its derivative says that they lower it.
+bool EndsAtKink(const HybridProblem& problem, const SolveReport& report) {
+  constexpr double kActive = 1e-6, kRise = 0.1;  // the latter: of the fall that the derivative tells
+  if (report.history.losses.empty() || report.solution.violation > kFeasible) return false;
+  if (report.termination != Termination::kNoProgress && report.termination != Termination::kIterationLimit)
+    return false;
+  HybridProblem at_end = problem;
+  at_end.guess = SolutionOf(problem, report);
+  HybridShooting shooting(at_end);
+  const std::vector<double>& z = shooting.initial_guess();
+  const auto n = static_cast<Eigen::Index>(z.size());
+  const int rows = shooting.num_residuals(), equalities = shooting.num_equalities();
+  double loss = 0;
+  Eigen::VectorXd gradient(n), residuals(rows), size(n), step(n);
+  Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> jacobian(rows, n);
+  if (!shooting.Evaluate(z, &loss, gradient.data()) || !gradient.allFinite()) return false;
+  if (!shooting.EvaluateResiduals(z, residuals.data(), jacobian.data()) || !jacobian.allFinite()) return false;
+  for (Eigen::Index i = 0; i < n; ++i) {
+    const FreeVariable& of = shooting.variables()[i];
+    const double width = of.max - of.min;
+    size[i] = std::isfinite(width) ? width : std::max(1.0, std::abs(z[i]));
+    const bool at_min = z[i] - of.min <= kActive * size[i], at_max = of.max - z[i] <= kActive * size[i];
+    if ((at_min && gradient[i] > 0) || (at_max && gradient[i] < 0)) size[i] = 0;
+  }
+  Eigen::MatrixXd held(0, n);
+  for (int row = 0; row < equalities + shooting.num_inequalities(); ++row) {
+    if (row >= equalities && residuals[row] < -kActive) continue;
+    held.conservativeResize(held.rows() + 1, n);
+    held.bottomRows(1) = jacobian.row(row).cwiseProduct(size.transpose());
+  }
+  step = -size.cwiseProduct(gradient);
+  if (held.rows() > 0) step -= held.completeOrthogonalDecomposition().solve(held * step);
+  const double slope = step.norm();
+  if (!(slope > 0)) return false;
+  step /= slope;
+  for (const double length : {1e-4, 1e-5, 1e-6}) {
+    std::vector<double> moved = z;
+    for (Eigen::Index i = 0; i < n; ++i) moved[i] += length * size[i] * step[i];
+    double after = 0;
+    if (!shooting.Evaluate(moved, &after, nullptr) || !(after - loss > kRise * length * slope)) return false;
+  }
+  return true;
+}
+
 // ---------------------------------------------------------------------------------------------------------------- auto
 
 // Returns the reason why Gauss-Newton steps miss an important part of the curvature; empty if they do not.
@@ -550,6 +595,7 @@ SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions
     order.insert(order.erase(first), attempts.begin(), attempts.end());
   }
   bool misses = false, ran_out = false;  // whether the last solve by ipopt missed constraints; ended before its time
+  bool at_kink = false;
   const auto solve = [&](std::string_view name, SolverOptions of_solve, const SolveReport* from) {
     static const HybridSolverEntry inside = {kInside, "", UnsupportedByShootingInside, SolveByShootingInside};
     const bool is_phases = name == "ipopt" || name == kLonger || name == kMore;
@@ -558,7 +604,7 @@ SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions
                         : *std::ranges::find(HybridSolvers(), is_phases ? "ipopt" : name, &HybridSolverEntry::name);
     SolveReport report;
     report.termination = Termination::kNotApplicable;
-    if ((name == kLonger && !misses) || (name == kMore && !ran_out)) {
+    if (at_kink || (name == kLonger && !misses) || (name == kMore && !ran_out)) {
       report.reason = why;
       return report;
     }
@@ -581,6 +627,13 @@ SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions
     JudgeSolution(problem, &report);
     if (is_phases || name == kInside) misses = report.solution.violation > kFeasible;
     if (is_first) ran_out = report.termination == Termination::kIterationLimit;
+    at_kink = is_smooth && EndsAtKink(problem, report);
+    if (at_kink) {
+      report.termination = Termination::kNoProgress;
+      report.reason =
+          "the loss has a kink at the solution, as of max or abs, where steps down its slope raise it: it may be "
+          "an optimum, which derivatives do not prove";
+    }
     return report;
   };
   // Shooting comes first: it never leaves the motions of the system, of which the best is one.
