@@ -55,8 +55,8 @@ class AugmentedLagrangian {
  public:
   enum class Algorithm { kLeastSquares, kInteriorPoint };
   struct Options {
-    // kInteriorPoint solves the problem by interior_point.h, which reads `iterations`, `tolerance`, `callback` and
-    // `is_shooting` alone.
+    // kInteriorPoint solves the problem by interior_point.h, which reads `iterations`, `tolerance`, `callback`,
+    // `stop` and `is_shooting` alone.
     Algorithm algorithm = Algorithm::kLeastSquares;
     // Whether states are eliminated. Slopes of rows are then those of whole motions.
     bool is_shooting = false;
@@ -84,6 +84,8 @@ class AugmentedLagrangian {
     double most_cost = INFINITY;
     // Called after each iteration with the costs; false interrupts.
     std::function<bool(double cost)> callback = nullptr;
+    // Asked while derivatives are evaluated, of which many steps have many; true interrupts.
+    std::function<bool()> stop = nullptr;
     std::function<void()> after_round = nullptr;  // called after each solve
 
     // For phases of up to so many steps. Along a longer one open defects add up and weigh more, and damping, whose part

@@ -192,6 +192,7 @@ class InteriorPointProblem final : public Ipopt::TNLP {
     if (!Linearize(x, is_new)) return false;
     const double inactive = kInactive * Largest(std::span(multipliers, num_rows_));
     for (Function& function : functions_) {
+      if (Stops()) return false;
       values = AddHessian(factor, multipliers, inactive, &function, values);
       multipliers += function.num_constraints();
     }
@@ -210,7 +211,7 @@ class InteriorPointProblem final : public Ipopt::TNLP {
     restoring_ = mode == Ipopt::RegularMode ? 0 : restoring_ + 1;
     if (options_.callback) {
       if (mode == Ipopt::RegularMode) MoveTo(data, quantities);
-      summary_.interrupted = !options_.callback(Cost());
+      summary_.interrupted = summary_.interrupted || !options_.callback(Cost());
     }
     return !summary_.interrupted && restoring_ < kMostRestoring;
   }
@@ -357,11 +358,16 @@ class InteriorPointProblem final : public Ipopt::TNLP {
   bool Linearize(const Number* x, bool is_new) {
     if (!is_new && linearized_) return true;
     Take(x);
-    evaluated_ = linearized_ = std::all_of(functions_.begin(), functions_.end(), [](Function& function) {
-      return function.Evaluate(function.pointers.data());
+    evaluated_ = linearized_ = std::all_of(functions_.begin(), functions_.end(), [this](Function& function) {
+      return !Stops() && function.Evaluate(function.pointers.data());
     });
     summary_.jacobians += linearized_;
     return linearized_;
+  }
+
+  bool Stops() {
+    summary_.interrupted = summary_.interrupted || (options_.stop && options_.stop());
+    return summary_.interrupted;
   }
 
   double Cost() const {

@@ -217,6 +217,7 @@ class TranscribedPlan {
     AugmentedLagrangian::Options options;
     options.algorithm = run_.algorithm();
     options.one_of_many = run_.is_one_of_many();
+    options.stop = run_.options().monitor.stop;
     if (!plan_.only_violation) options.most_cost = run_.most_loss();
     options.iterations = std::min(kMostIterations, run_.iterations_left());
     options.callback = [&](double cost) {

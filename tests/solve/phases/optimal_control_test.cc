@@ -510,6 +510,17 @@ TEST(OptimalControl, SolvesWhereStatesGrow) {
   EXPECT_TRUE(less.certificate->IsStationary()) << less.certificate->reason;
 }
 
+// One evaluation of second derivatives takes long where intervals have many steps.
+TEST(OptimalControl, StopsWhileDerivativesAreEvaluated) {
+  if (!HasInteriorPoint()) GTEST_SKIP() << "this build has no IPOPT";
+  int asked = 0;
+  SolverOptions options;
+  options.monitor.stop = [&asked] { return ++asked > 100; };
+  const SolveReport report = Solve("ipopt", RobotArmProblem(80), options);
+  EXPECT_EQ(report.termination, Termination::kInterrupted) << report.reason;
+  EXPECT_LE(report.work.iterations, 1);
+}
+
 struct CartAndPole {
   template <typename T>
   void operator()(const T* x, const T* u, T* xdot) const {
