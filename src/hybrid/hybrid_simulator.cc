@@ -131,7 +131,8 @@ class HybridSimulator::Impl {
       double size = std::abs(at[i]);
       for (const TapeEntry& entry : tape.entries) {
         const bool ends_accumulation = of.accumulation() && system.state_size(entry.mode) == n;
-        const bool has_it = entry.mode == mode || ends_accumulation || system.functions().CreatesModes();
+        const bool is_piece = system.functions().BaseMode(entry.mode) == system.functions().BaseMode(mode);
+        const bool has_it = is_piece || ends_accumulation || system.functions().CreatesModes();
         if (has_it) size = std::max(size, std::abs(tape.numbers[entry.x + i]));
       }
       if (size > 0) relative = std::max(relative, change / size);
