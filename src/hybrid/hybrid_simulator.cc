@@ -347,8 +347,10 @@ class HybridSimulator::Impl {
   bool DivideAtFew(const RolloutRun& of) {
     if (!divides_early) return false;
     const HiddenChanges changes = FindHidden(of, Changes::kAll);
-    if (changes.steps == 0 || changes.unbounded) return false;
-    if (changes.steps * kFewPlaces > of.tape().num_nodes) {
+    if (changes.steps == 0) return false;
+    const bool at_most = changes.steps * kFewPlaces > of.tape().num_nodes;
+    if (changes.unbounded && !at_most) return false;
+    if (at_most) {
       // A motion that misses an event, behind which its flow has no solution, is wrong from there on. Once the event
       // is met the next such place is later.
       if (changes.first <= last_first + kFewPlaces * of.tape().step) return false;
