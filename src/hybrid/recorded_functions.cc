@@ -830,7 +830,8 @@ RecordedSystem::RecordedSystem(HybridLayout layout, std::vector<Mode> modes, boo
     if (mode.fly) functions.push_back(&mode.fly->recording());
     auto switches = std::make_unique<const RecordedSwitches>(functions, sizes[i]);
     most_guards_ = std::max(most_guards_, static_cast<int>(mode.transitions.size()) + 2 * switches->count());
-    switches_.push_back(switches->count() > 0 ? std::move(switches) : nullptr);
+    switches_.push_back(switches->count() > 0 ? switches.get() : nullptr);
+    conditions_.push_back(std::move(switches));
     parts_.emplace_back();
     if (linear_[i] && switches_.back() == nullptr) {
       auto parts =
@@ -1037,6 +1038,19 @@ std::string RecordedSystem::GuardName(int mode, int guard) const {
   const Evaluated& piece = at(mode);
   const int first = num_guards(mode) - num_switches(mode);
   if (guard < first) return HybridFunctions::GuardName(piece.base, guard);
+  return switches_[piece.base]->TextOf(piece.switches[guard - first].number, SwitchInputNames(mode));
+}
+
+std::vector<std::string> RecordedSystem::UndecidedConditions(const ModePoint& point) const {
+  const Evaluated& piece = at(point.mode);
+  const RecordedSwitches& conditions = *conditions_[piece.base];
+  if (!conditions.HasFixedConditions()) return {};
+  RecordedSwitches::Sides sides = piece.sides;
+  sides.resize(conditions.count(), RecordedSwitches::kIrrelevant);
+  return conditions.UndecidedAt(SwitchInputsAt(point), std::move(sides), SwitchInputNames(point.mode));
+}
+
+std::vector<std::string> RecordedSystem::SwitchInputNames(int mode) const {
   std::vector<std::string> names;
   for (int i = 0; i < size(mode); ++i) names.push_back(StateName(mode, i));
   names.push_back("t");
@@ -1048,7 +1062,7 @@ std::string RecordedSystem::GuardName(int mode, int guard) const {
   add(layout().parameter_names, num_parameters(), "p");
   add(layout().control_names, layout().num_controls, "u");
   names.emplace_back("s");
-  return switches_[piece.base]->TextOf(piece.switches[guard - first].number, names);
+  return names;
 }
 
 bool RecordedSystem::ReadsControl(int mode, int guard) const {

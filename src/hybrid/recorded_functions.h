@@ -213,6 +213,7 @@ class RecordedSystem final : public HybridFunctions {
   int PieceAt(const ModePoint& point) const override;
   int AdjacentPiece(const ModePoint& point, int guard, Side side) const override;
   bool IsOn(int mode, int guard) const override;
+  std::vector<std::string> UndecidedConditions(const ModePoint& point) const override;
   bool ResetMayBreak(int mode, int guard) const override {
     return !IsSwitch(mode, guard) && transition(mode, guard).reset.MayBreak();
   }
@@ -280,6 +281,7 @@ class RecordedSystem final : public HybridFunctions {
   int PieceAlong(const ModePoint& point, int guard) const;
   bool PointsAt(const ModePoint& point, int number) const;
   std::vector<double> SwitchInputsAt(const ModePoint& point) const;
+  std::vector<std::string> SwitchInputNames(int mode) const;
   std::vector<int> SidesAt(const ModePoint& point, std::vector<int> known) const;
 
   int size(int mode) const { return at(mode).size; }
@@ -302,8 +304,9 @@ class RecordedSystem final : public HybridFunctions {
   const std::vector<Mode> modes_;
   std::vector<std::optional<LinearFlow>> linear_;  // of each mode, as it is recorded
   const bool slides_;
-  std::vector<std::unique_ptr<const RecordedSwitches>> switches_;  // of each mode; null: it has none
-  std::vector<std::unique_ptr<const LinearParts>> parts_;          // of each mode; null: it has one
+  std::vector<std::unique_ptr<const RecordedSwitches>> conditions_;  // of each mode
+  std::vector<const RecordedSwitches*> switches_;                    // these, of each mode; null: it has no switches
+  std::vector<std::unique_ptr<const LinearParts>> parts_;            // of each mode; null: it has one
   int most_guards_ = 0;
   std::vector<double> no_control_;  // zeros
   static constexpr int kBlocks = 24;
