@@ -13,6 +13,9 @@
 // that a descent brings below kMuchWorse of the best loss. After those, neighbours of other motions below it are tried,
 // best first. At last intervals of the best motion move to other phases.
 //
+// Solves leave it to the search to certify optima at which the loss has no kink: each once, when it is looked at. One
+// that its certificate refutes, such as a saddle, is the start of a solve that certifies where it ends, and leaves it.
+//
 // Rule, by which a search is complete: the neighbours of all motions found below kMuchWorse of the best loss are tried,
 // except for those whose lower bound is above it; or no motion can have a lower loss.
 // Limits, which leave it incomplete: `iterations` solves, kPatience of them without anything better, most of the work
@@ -154,21 +157,21 @@ class LimitedSearch {
     return std::to_string(solves_) + (solves_ == 1 ? " solve" : " solves") + ", best loss " + std::to_string(best_loss);
   }
 
-  // Returns the known optimum of the sequence that is the same as `found`, null if there is none.
-  LocalOptimum* KnownAs(const LocalOptimum& found) {
-    const auto known = std::ranges::find_if(optima_, [&](const LocalOptimum& other) {
+  // Returns the one of several optima that is the same as `found`, null if there is none.
+  static LocalOptimum* FindSame(const LocalOptimum& found, std::vector<LocalOptimum>* optima) {
+    const auto known = std::ranges::find_if(*optima, [&](const LocalOptimum& other) {
       return other.sequence == found.sequence &&
              std::abs(other.loss - found.loss) <= kSameOptimum * std::abs(found.loss);
     });
-    return known == optima_.end() ? nullptr : &*known;
+    return known == optima->end() ? nullptr : &*known;
   }
   std::vector<LocalOptimum> TakeOptima() {
     std::ranges::stable_sort(optima_, {}, &LocalOptimum::loss);
     return std::move(optima_);
   }
 
-  SolverOptions options_;  // with its own limits
-  std::vector<LocalOptimum> optima_;
+  SolverOptions options_;                              // with its own limits
+  std::vector<LocalOptimum> optima_, refuted_optima_;  // the latter are none, by their certificates
   SearchStatistics searched_;
   int drawn_ = 0, solves_ = 0;
   std::optional<End> end_;
@@ -502,7 +505,7 @@ class SequenceSearch : LimitedSearch {
     if (IsOptimum(finding)) {
       LocalOptimum found = problem_.OptimumOf(trial);
       if (start.shooting != Shooting::kNone && !start.is_guess) NoteOptimumOfStart(found);
-      LocalOptimum* known = KnownAs(found);
+      LocalOptimum* known = FindSame(found, &optima_);
       if (known == nullptr) {
         optima_.push_back(std::move(found));
       } else if (found.loss < known->loss) {
@@ -523,12 +526,15 @@ class SequenceSearch : LimitedSearch {
   bool IsRefuted(const Start& start, Finding* finding) {
     const Trial& trial = finding->trial;
     std::optional<Certificate>& certificate = finding->report.certificate;
-    if (start.certifies || certificate || !run_.HasCertificate() || KnownAs(problem_.OptimumOf(trial))) return false;
+    const LocalOptimum found = problem_.OptimumOf(trial);
+    if (start.certifies || certificate || !run_.HasCertificate() || FindSame(found, &optima_)) return false;
+    if (FindSame(found, &refuted_optima_)) return true;
     certificate = run_.Certify(trial);
     const bool leaves_node = std::ranges::any_of(certificate->impacts, &ImpactCertificate::LeavesNode);
     if (!certificate->IsSaddle() && certificate->verdict != Certificate::Verdict::kNotStationary && !leaves_node) {
       return false;
     }
+    refuted_optima_.push_back(found);
     Start& again = refuted_.emplace_back(start);
     again.trial = trial;
     again.shooting = Shooting::kNone;
