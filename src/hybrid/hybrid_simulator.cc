@@ -856,9 +856,10 @@ HybridGradient HybridSimulator::Adjoint(std::span<const double> final_cotangent)
   return Adjoint(cotangent);
 }
 
-HybridSensitivity HybridSimulator::Sensitivity() {
+HybridSensitivity HybridSimulator::Sensitivity(bool by_parameters) {
   CHECK(impl_->done) << "the rollout failed";
-  HybridSensitivity found = impl_->derivatives.Sensitivity(impl_->input, impl_->run->tape(), impl_->run->events());
+  HybridSensitivity found =
+      impl_->derivatives.Sensitivity(impl_->input, impl_->run->tape(), impl_->run->events(), by_parameters);
   const bool finite = Impl::IsFinite(found);
   return impl_->Checked(std::move(found), finite);
 }

@@ -47,7 +47,8 @@ HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const Motion
   int interval = input.num_intervals;
   for (std::size_t i = tape.entries.size(); i-- > 0;) {
     const TapeEntry& entry = tape.entries[i];
-    const FlowStep step = StepOf(input, tape, entry);
+    FlowStep step = StepOf(input, tape, entry);
+    step.by_parameters = cotangent.by_parameters;
     const int n = system_.state_size(entry.mode);
     if (entry.kind == TapeEntry::Kind::kReset) {
       if (!cotangent.after.empty() && !cotangent.after[entry.event].empty()) {
@@ -104,6 +105,7 @@ HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const Motion
   }
   CHECK_EQ(events.size(), cotangent.event_times.empty() ? events.size() : cotangent.event_times.size());
   gradient.initial = std::move(x);
+  if (!cotangent.by_parameters) std::ranges::fill(gradient.parameters, 0.0);
   return gradient;
 }
 
@@ -113,7 +115,8 @@ void MotionDerivatives::PushForward(const HybridInput& input, const MotionTape& 
   using Matrix = RungeKutta::Matrix;
   const HybridFunctions& f = system_.functions();
   const int num_parameters = system_.num_parameters(), num_controls = system_.num_controls();
-  const FlowStep step = StepOf(input, tape, entry);
+  FlowStep step = StepOf(input, tape, entry);
+  step.by_parameters = !at->p.isZero(0);
   const int n = system_.state_size(entry.mode);
   const Eigen::Index columns = at->x.cols();
   if (entry.kind == TapeEntry::Kind::kReset) {
@@ -149,7 +152,7 @@ void MotionDerivatives::PushForward(const HybridInput& input, const MotionTape& 
 }
 
 HybridSensitivity MotionDerivatives::Sensitivity(const HybridInput& input, const MotionTape& tape,
-                                                 const std::vector<HybridEvent>& events) {
+                                                 const std::vector<HybridEvent>& events, bool by_parameters) {
   using Matrix = RungeKutta::Matrix;
   const int num_parameters = system_.num_parameters(), num_controls = system_.num_controls();
   const int n0 = system_.state_size(input.mode), all_controls = input.num_intervals * num_controls;
@@ -163,7 +166,7 @@ HybridSensitivity MotionDerivatives::Sensitivity(const HybridInput& input, const
   at.x.leftCols(n0).setIdentity();
   at.t = Eigen::RowVectorXd::Zero(columns);
   at.p = Matrix::Zero(num_parameters, columns);
-  at.p.middleCols(n0 + all_controls, num_parameters).setIdentity();
+  if (by_parameters) at.p.middleCols(n0 + all_controls, num_parameters).setIdentity();
   const Eigen::RowVectorXd of_duration = Eigen::RowVectorXd::Unit(columns, columns - 1);
   for (const TapeEntry& entry : tape.entries) {
     if (out.nodes.size() < tape.intervals.size() &&

@@ -28,8 +28,9 @@ class MotionDerivatives {
 
   HybridGradient Adjoint(const HybridInput& input, const MotionTape& tape, const std::vector<HybridEvent>& events,
                          const HybridCotangent& cotangent);
+  // Its columns of the parameters are zero unless `by_parameters`.
   HybridSensitivity Sensitivity(const HybridInput& input, const MotionTape& tape,
-                                const std::vector<HybridEvent>& events);
+                                const std::vector<HybridEvent>& events, bool by_parameters);
   // Returns for each coincidence of the tape whether the derivative differs on another side: changes of the motion in
   // some directions of the input are compared with those that its events lead to if their order follows the change.
   std::vector<char> FindOneSided(const HybridInput& input, const MotionTape& tape, TiedEvents* tied);

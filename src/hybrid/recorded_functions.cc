@@ -776,7 +776,7 @@ void RecordedFunction::Linearize(std::span<const Part> inputs, int columns, doub
   }
 }
 
-void RecordedFunction::Linearize(const std::vector<Part>& inputs, double* outputs, double** jacobians) const {
+void RecordedFunction::Linearize(std::span<const Part> inputs, double* outputs, double** jacobians) const {
   Evaluation at(*this, true, inputs);
   at.Run(outputs);
   for (std::size_t i = 0; i < inputs.size(); ++i) {
@@ -1289,17 +1289,21 @@ RecordedCost::RecordedCost(RecordedFunction function, const std::vector<int>& bl
   int inputs = 0;
   for (const int size : block_sizes) inputs += size;
   CHECK_EQ(inputs, function_.num_inputs());
+  CHECK_LE(block_sizes.size(), kMostBlocks);
   *mutable_parameter_block_sizes() = block_sizes;
   set_num_residuals(function_.num_outputs());
 }
 
 bool RecordedCost::Evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
-  std::vector<RecordedFunction::Part> parts;
-  for (std::size_t i = 0; i < parameter_block_sizes().size(); ++i) {
-    parts.push_back({parameters[i], parameter_block_sizes()[i]});
+  std::array<RecordedFunction::Part, kMostBlocks> parts;
+  const std::size_t count = parameter_block_sizes().size();
+  for (std::size_t i = 0; i < count; ++i) parts[i] = {parameters[i], parameter_block_sizes()[i]};
+  const std::span<const RecordedFunction::Part> inputs(parts.data(), count);
+  if (jacobians != nullptr) {
+    function_.Linearize(inputs, residuals, jacobians);
+  } else {
+    function_.Evaluate(inputs, residuals);
   }
-  std::vector<double*> none(parts.size(), nullptr);
-  function_.Linearize(parts, residuals, jacobians == nullptr ? none.data() : jacobians);
   return true;
 }
 

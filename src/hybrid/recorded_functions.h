@@ -134,7 +134,7 @@ class RecordedFunction {
   // Computes the outputs and their derivatives by the inputs: row-major, of the first `columns` inputs.
   void Linearize(std::span<const Part> inputs, int columns, double* outputs, double* jacobian) const;
   // Linearizes with the parts of a cost function: any of `jacobians` may be null.
-  void Linearize(const std::vector<Part>& inputs, double* outputs, double** jacobians) const;
+  void Linearize(std::span<const Part> inputs, double* outputs, double** jacobians) const;
 
   class Evaluation;
 
@@ -321,11 +321,12 @@ class RecordedSystem final : public HybridFunctions {
 // Residuals of the given blocks.
 class RecordedCost final : public ceres::CostFunction {
  public:
-  // Precondition: the sizes of the blocks add up to the number of inputs.
+  // Preconditions: the sizes of the blocks, at most kMostBlocks, add up to the number of inputs.
   RecordedCost(RecordedFunction function, const std::vector<int>& block_sizes);
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
 
  private:
+  static constexpr std::size_t kMostBlocks = 8;
   const RecordedFunction function_;
 };
 
