@@ -310,8 +310,8 @@ std::vector<char> MotionDerivatives::FindOneSided(const HybridInput& input, cons
   return one_sided;
 }
 
-// The numbers that decide about the functions where an entry begins, and are zero though the motion goes on: switches
-// on whose zero it stays, and conditions on parameters and the control. Of each stretch of such entries.
+// The numbers that decide about the functions at a point, and are zero though the motion goes on: switches on whose
+// zero it stays, and conditions on parameters and the control.
 std::vector<std::string> MotionDerivatives::UndecidedAt(const ModePoint& at) const {
   const HybridFunctions& f = system_.functions();
   std::vector<std::string> names = f.UndecidedConditions(at);
