@@ -5,20 +5,6 @@
 
 namespace saltus {
 
-PlanAttempt AttemptOf(const PhaseSolution& solution) {
-  PlanAttempt attempt;
-  attempt.jacobians = solution.minimum.jacobians;
-  attempt.interrupted = solution.minimum.interrupted;
-  if (!solution.valid) return attempt;
-  attempt.valid = true;
-  attempt.times = solution.times;
-  attempt.speeds = solution.speeds;
-  attempt.converged = solution.minimum.converged;
-  attempt.trial = solution.trial;
-  attempt.realized = solution.realized;
-  return attempt;
-}
-
 void PolishByTranscription(PhaseRun* run, const PhasePlan& plan, const std::vector<int>& intervals,
                            const ContinuePredicate& may_continue, PlanAttempt* attempt) {
   if (!attempt->converged || !attempt->realized || !run->IsRefuted(attempt->trial)) return;
@@ -38,8 +24,8 @@ PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& sta
   options.iterations = run->iterations_left();
   const ContactSequence sequence = plan.Sequence();
   const PhaseGuess guess = GuessFrom(scene, FlightOf(scene, start.trial), sequence);
-  const PhaseSolution solution = SolveAlong(scene, sequence, guess, options);
-  PlanAttempt attempt = AttemptOf(solution);
+  PhaseSolution solution = SolveAlong(scene, sequence, guess, options);
+  PlanAttempt& attempt = solution.attempt;
   if (!attempt.valid) return attempt;
   FollowEvents(DiscMotions(scene), plan, solution.intervals, &attempt);
   PolishByTranscription(run, plan, solution.intervals, may_continue, &attempt);

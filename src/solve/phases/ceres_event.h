@@ -28,9 +28,6 @@ SolveReport SolveByCeresEvent(const SolveRequest& request, const SolverOptions& 
 PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& start,
                       const ContinuePredicate& may_continue);
 
-// The attempt along a plan that a solution by closed arcs is.
-PlanAttempt AttemptOf(const PhaseSolution& solution);
-
 // Takes the last steps to an optimum that a certificate refutes by the transcription, with as many intervals in each
 // phase: many impacts leave the variables of arcs ill conditioned.
 void PolishByTranscription(PhaseRun* run, const PhasePlan& plan, const std::vector<int>& intervals,

@@ -293,13 +293,13 @@ class DiscSearch {
     options.callback = [stop = run->options().monitor.stop](double) { return !stop || !stop(); };
     PhaseSolution shared =
         SolveAlong(scene_, sequence, GuessFrom(scene_, FlightOf(scene_, from), sequence), options, kLossChange);
-    const auto is_motion = [&] { return shared.valid && shared.trial.exact.ok; };
+    const auto is_motion = [&] { return shared.attempt.valid && shared.attempt.trial.exact.ok; };
     if (is_motion()) shared = ShareBetter(scene_, std::move(shared), options, kShareGain);
     PhasePlan plan;
     plan.cuts.assign(sequence.begin(), sequence.end());
     plan.tied.resize(sequence.size());
     plan.regimes.resize(sequence.size());
-    PlanAttempt attempt = AttemptOf(shared);
+    PlanAttempt& attempt = shared.attempt;
     PolishByTranscription(
         run, plan, shared.intervals, [](const auto& /*times*/, const auto& /*speeds*/) { return true; }, &attempt);
     run->report().work.evaluations = attempt.jacobians;
