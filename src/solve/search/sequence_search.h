@@ -404,9 +404,14 @@ class SequenceSearch : LimitedSearch {
     if (!problem_.by_arcs() || end_ || !best_ || IsLowest()) return;
     const Trial before = best_->trial;
     const bool is_optimum = HasOptimum();
-    const Sequence along = is_optimum ? before.exact.contacts : best_along_;
-    if (along.empty() || !before.exact.only_impacts) return;
-    SolveAll({{.trial = before, .sequence = along, .effort = Effort::kShare}});
+    if (!before.exact.only_impacts) return;
+    std::vector<Sequence> along = {before.exact.contacts};
+    if (!is_optimum && best_along_ != along[0]) along.push_back(best_along_);
+    std::vector<Start> shares;
+    for (const Sequence& sequence : along) {
+      if (!sequence.empty()) shares.push_back({.trial = before, .sequence = sequence, .effort = Effort::kShare});
+    }
+    SolveAll(shares);
     if (is_optimum && best_->trial.exact.loss < before.exact.loss) {
       std::erase_if(optima_, [&](const LocalOptimum& known) { return known.loss == before.exact.loss; });
     }
