@@ -395,8 +395,15 @@ class Cost(Closed):
                 raise ValueError(f"{self.name}: found an argument {name!r}, expected some of t, x, u, p, h, x0 and xT")
             names.append(name)
         at = self.at if isinstance(self.at, str) else "steps"
-        if "h" in names and self.at != "steps" or "u" in names and self.at not in ("steps", "always"):
-            raise ValueError(f"{self.name}: only a cost at steps reads a control u or the length h of an interval")
+        if "h" in names and self.at == "always":
+            raise ValueError(f"{self.name}: found an argument 'h', the length of an interval, of a term at=\"always\", which holds at each "
+                             "time within the intervals; expected some of t, x, u and p. Take at=\"steps\" for a term with h, of which "
+                             "each interval has one value")
+        wrong = [name for name in names if name in ("u", "h") and self.at not in ("steps", "always")]
+        if wrong:
+            where = f"at={self.at!r}".replace("'", '"') if isinstance(self.at, str) else "at given times"
+            raise ValueError(f"{self.name}: found an argument {wrong[0]!r} of a term {where}, expected some of t, x and p. Only a term "
+                             "at=\"steps\" reads the control u and the length h of an interval")
         if self.at != "end" and ("x0" in names or "xT" in names):
             raise ValueError(f"{self.name}: only a term at the end reads the states x0 at the start and xT at the end")
         letters = {_LETTERS[name] for name in names}

@@ -748,7 +748,10 @@ class TestAlways:
 
     @pytest.mark.parametrize("arguments, words", [
         ({"function": lambda x: x[0]}, "at: found 'always' with the role 'cost', expected 'inequality'; a cost over time is one at steps"),
-        ({"function": lambda x, h: x[0], "role": "inequality"}, "only a cost at steps reads a control u or the length h"),
+        ({"function": lambda x, h: x[0] * h, "role": "inequality"},
+         "found an argument 'h', the length of an interval, .* expected some of t, x, u and p. Take at=\"steps\" for a term with h"),
+        ({"function": lambda x, u: x[0] * u[0], "role": "inequality", "at": "end"},
+         "found an argument 'u' of a term at=\"end\", expected some of t, x and p. Only a term at=\"steps\" reads the control u"),
         ({"function": lambda xT: xT[0], "role": "inequality"}, "only a term at the end reads the states x0 at the start and xT"),
         ({"function": lambda x: x[0], "role": "inequality", "mode": "n"}, "found 'n', expected some of m"),
         ({"function": lambda x: x[5], "role": "inequality", "name": "far"}, "far: IndexError: index 5 is out of bounds"),
@@ -756,7 +759,7 @@ class TestAlways:
     ])
     def test_what_cannot_hold_always_is_refused(self, arguments, words):
         with pytest.raises((ValueError, RuntimeError), match=words):
-            self.point([saltus.residuals(at="always", **arguments)])
+            self.point([saltus.residuals(**{"at": "always", **arguments})])
 
     @pytest.mark.parametrize("solver", PHASES)
     @pytest.mark.parametrize("mode", [None, "o"])

@@ -417,3 +417,33 @@ def test_a_graze_has_its_remark_whatever_the_number_of_steps(kind, other, time):
         assert texts == [f"ball grazes {other} at t = {time:g}: the derivatives are those of motions that pass by, and not of those that hit"]
         if steps % 20 == 0:
             assert all(saltus.loss_and_gradient(_pass(kind, steps, miss))["remarks"] == [] for miss in (1e-6, -1e-6, 1e-3))
+
+
+def _pass_between_impacts(between, steps, angle, miss):
+    """A ball that has met a floor passes tangent to a post before it meets the ceiling, or to a disc that meets the ceiling
+    after that, and that far off in addition; all turned by an angle."""
+    c, s = math.cos(angle), math.sin(angle)
+    turned = lambda x, y: [c * x - s * y, s * x + c * y]
+    if between == "impacts of one disc":
+        side = math.sqrt(0.5) * (0.2 + miss)
+        bodies = [disc("ball", turned(0, 0.2), turned(1, -1), radius=0.1),
+                  {"name": "other", "radius": 0.1, "fixed": True, "position": turned(0.45 + side, 0.25 - side)}]
+        top = 0.6
+    else:
+        bodies = [disc("ball", turned(-0.1, 0.3), turned(1, -1), radius=0.1),
+                  disc("other", turned(0.9, -0.1 + miss), turned(-1, 1), radius=0.1)]
+        top = 0.7 + miss
+    return saltus.Scene({
+        "name": "between", "duration": 1.0, "steps": steps, "contact": {"restitution": 1}, "optimize": "velocity", "bodies": bodies,
+        "planes": [{"name": "ceiling", "point": turned(0, top), "normal": turned(0, -1)}],
+        "segments": [{"name": "floor", "from": turned(-1, -0.1), "to": turned(0.5, -0.1)}],
+        "objective": {"terminal": [{"body": "ball", "quantity": "position", "target": [0, 2], "weight": 1}]}})
+
+
+@pytest.mark.parametrize("between, time", [("impacts of one disc", 0.45), ("impacts of each", 0.5)])
+def test_a_graze_between_two_impacts_of_one_step_has_its_remark(between, time):
+    for angle in np.linspace(0.1, 6, 40):
+        for steps in (1, 2, 3, 5, 8):
+            texts = [remark["text"] for remark in saltus.loss_and_gradient(_pass_between_impacts(between, steps, angle, 0))["remarks"]]
+            assert texts == [f"ball grazes other at t = {time:g}: the derivatives are those of motions that pass by, and not of those that hit"]
+        assert all(saltus.loss_and_gradient(_pass_between_impacts(between, 1, angle, miss))["remarks"] == [] for miss in (1e-6, -1e-6, 1e-3))

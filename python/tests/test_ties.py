@@ -1,6 +1,7 @@
 """Events of hybrid systems at one time: their order, one-sided derivatives, and events that accumulate."""
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -511,3 +512,53 @@ def test_batches_and_final_states_tell_their_remarks():
     end = saltus.HybridEndState(problem)
     with pytest.warns(RuntimeWarning, match="the reset of guard 'hit' has a kink"):
         end.vjp(end.initial, end.control, end.parameters, [1, 1, 1])
+
+
+TIED = {"states": (lambda x, u, p: x[0], lambda x, u, p: x[1]), "parameters": (lambda x, u, p: p[0], lambda x, u, p: p[1]),
+        "a state and a parameter": (lambda x, u, p: x[3], lambda x, u, p: p[0]), "controls": (lambda x, u, p: u[0], lambda x, u, p: u[1]),
+        "apart": (lambda x, u, p: x[0] + 2, lambda x, u, p: x[1]), "one number twice": (lambda x, u, p: 2 * x[0] - x[0], lambda x, u, p: x[0]),
+        "friction of a force": (lambda x, u, p: 0.3 * np.maximum(0, p[0] + 1), lambda x, u, p: -5 + 0 * x[1])}
+CHOICES = {"max": np.maximum, "min": np.minimum, "abs": lambda f, g: abs(f - g), "where": lambda f, g: np.where(f > g, 2 * f - g, f),
+           "jump": lambda f, g: np.where(f > g, 1, 2), "clip": lambda f, g: np.minimum(np.maximum(f - g, 0), 1),
+           "smooth square": lambda f, g: np.maximum(f - g, 0) ** 2, "smooth product": lambda f, g: (f - g) * abs(f - g),
+           "multiplied by zero": lambda f, g: 0 * np.maximum(f, g) + f, "sum of both": lambda f, g: np.maximum(f, g) + np.minimum(f, g)}
+
+
+@pytest.mark.parametrize("choice", CHOICES)
+@pytest.mark.parametrize("tied", TIED)
+def test_a_choice_between_numbers_that_stay_equal_has_a_remark_where_it_matters(tied, choice):
+    f, g = TIED[tied]
+    system = saltus.HybridSystem(
+        states={"m": ["x", "y", "z", "c"]}, parameters=["a", "b"], controls=["u", "w"],
+        flow={"m": lambda x, u, p: [-0.3 * x[0], -0.3 * x[1], CHOICES[choice](f(x, u, p), g(x, u, p)), 0]})
+    values = np.array([0.7, 0.7, 0.2, 0.7, 0.7, 0.7, 0.7, 0.7, 0.7, 0.7])  # states, parameters, two intervals of the control
+
+    def problem(at):
+        return saltus.HybridProblem(system, mode="m", initial=at[:4], parameters=at[4:6], control=at[6:].reshape(2, 2), duration=1.3)
+
+    found = saltus.final_derivatives(problem(values))
+    assert found.remark == saltus.rollout(problem(values)).remark
+    exact = np.hstack([found.by_initial, found.by_parameters, np.reshape(found.by_control, (4, 4))])
+    end, step = saltus.rollout(problem(values)).final, 1e-6
+    sides = [np.transpose([(saltus.rollout(problem(values + side * unit)).final - end) / side for unit in np.eye(10)])
+             for side in (step, -step)]
+    differ = any(np.abs(side - exact).max() > 1e-4 for side in sides)
+    assert differ == (found.remark != "")
+    if differ and choice != "jump":
+        assert "the flow is not smooth at t = 0, where" in found.remark and "derivatives differ from side to side" in found.remark
+
+
+def test_a_guard_that_is_the_smaller_of_two_numbers_that_stay_equal():
+    for rates, remark in (((-1, -1), "guard 'hit' is not smooth at t = 1, where 'x - y' stays zero: derivatives differ from side to side"),
+                          ((-1, -0.5), "")):
+        system = saltus.HybridSystem(
+            states={"m": ["x", "y"]}, flow={"m": lambda x, rates=rates: list(rates)}, guards={"m": {"hit": lambda x: np.minimum(x[0], x[1])}},
+            resets={"m": {"hit": lambda x: ("m", [x[0] + 3, x[1] + 5])}})
+        problem = saltus.HybridProblem(system, mode="m", initial=[1, 1], duration=1.7)
+        assert saltus.final_derivatives(problem).remark == remark
+        batch = saltus.HybridBatch(saltus.HybridProblem(system, mode="m", initial=[1, 1], duration=1.7, costs=[saltus.terminal([0, 0])]),
+                                   optimize=["initial"])
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)
+            batch.loss_and_gradient([[1, 1], [1, 1.1]])
+        assert batch.remarks == ({0: remark} if remark else {})

@@ -379,6 +379,7 @@ HybridShooting::Derivative HybridShooting::MakeUndefinedDerivative() const {
   none.direct.initial.resize(input_.initial.size());
   none.direct.control.resize(input_.control.size());
   none.direct.parameters.resize(problem_.system.num_parameters());
+  none.cotangent.by_parameters = !problem_.free.parameters.empty();
   return none;
 }
 
@@ -510,7 +511,7 @@ void HybridShooting::ResidualJacobian(double* jacobian) {
     if (place.first_row >= 0 && of_motion) rows_of_motion += place.term->function->num_residuals();
   }
   std::optional<HybridSensitivity> motion;
-  if (kColumnsOfRow * rows_of_motion >= columns) motion = simulator_.Sensitivity();
+  if (kColumnsOfRow * rows_of_motion >= columns) motion = simulator_.Sensitivity(!problem_.free.parameters.empty());
   Eigen::Map<Matrix> out(jacobian, num_residuals_, num_variables());
   out.setZero();
   std::vector<Values> values(places_.size());

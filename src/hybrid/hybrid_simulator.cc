@@ -131,7 +131,8 @@ class HybridSimulator::Impl {
       double size = std::abs(at[i]);
       for (const TapeEntry& entry : tape.entries) {
         const bool ends_accumulation = of.accumulation() && system.state_size(entry.mode) == n;
-        const bool has_it = entry.mode == mode || ends_accumulation || system.functions().CreatesModes();
+        const bool is_piece = system.functions().BaseMode(entry.mode) == system.functions().BaseMode(mode);
+        const bool has_it = is_piece || ends_accumulation || system.functions().CreatesModes();
         if (has_it) size = std::max(size, std::abs(tape.numbers[entry.x + i]));
       }
       if (size > 0) relative = std::max(relative, change / size);
@@ -346,8 +347,10 @@ class HybridSimulator::Impl {
   bool DivideAtFew(const RolloutRun& of) {
     if (!divides_early) return false;
     const HiddenChanges changes = FindHidden(of, Changes::kAll);
-    if (changes.steps == 0 || changes.unbounded) return false;
-    if (changes.steps * kFewPlaces > of.tape().num_nodes) {
+    if (changes.steps == 0) return false;
+    const bool at_most = changes.steps * kFewPlaces > of.tape().num_nodes;
+    if (changes.unbounded && !at_most) return false;
+    if (at_most) {
       // A motion that misses an event, behind which its flow has no solution, is wrong from there on. Once the event
       // is met the next such place is later.
       if (changes.first <= last_first + kFewPlaces * of.tape().step) return false;
@@ -600,16 +603,29 @@ class HybridSimulator::Impl {
     return ties;
   }
 
-  // Returns remarks on resets that jump, or have a kink, at their events.
-  std::vector<TimedRemark> RemarksOnResets() {
+  // Returns remarks on functions that are not smooth where the motion is, and on resets that jump there.
+  std::vector<TimedRemark> RemarksOnKinks() {
     const HybridFunctions& functions = system.functions();
     const MotionTape& tape = run->tape();
     const auto may_break = [&](const TapeEntry& entry) {
       return entry.kind == TapeEntry::Kind::kReset && functions.ResetMayBreak(entry.mode, entry.guard);
     };
     std::vector<TimedRemark> remarks;
-    if (!done || std::ranges::none_of(tape.entries, may_break)) return remarks;
-    if (!has_kinks) has_kinks = derivatives.FindKinksOfResets(input, tape);
+    if (!done) return remarks;
+    if (!kinks) kinks = derivatives.FindKinks(input, tape);
+    std::vector<char> has_kink(tape.entries.size());
+    for (const MotionDerivatives::Kink& kink : *kinks) {
+      const TapeEntry& entry = tape.entries[kink.entry];
+      has_kink[kink.entry] = kink.kind == MotionDerivatives::Kink::kReset;
+      if (has_kink[kink.entry] != 0) continue;
+      const bool of_flow = kink.kind == MotionDerivatives::Kink::kFlow;
+      remarks.push_back({of_flow ? "the flow is not smooth"
+                                 : "guard '" + functions.GuardName(entry.mode, entry.guard) + "' is not smooth",
+                         of_flow ? entry.t : tape.entries[kink.entry + 1].t,
+                         ", where " + Joined(kink.names, ", ", "'") +
+                             (kink.names.size() == 1 ? " stays zero" : " stay zero") +
+                             ": derivatives differ from side to side"});
+    }
     const TiedEvents tied(system, options);
     for (std::size_t i = 0; i < tape.entries.size(); ++i) {
       const TapeEntry& entry = tape.entries[i];
@@ -622,7 +638,7 @@ class HybridSimulator::Impl {
                            entry.t,
                            ", and rounding decides on which side of the jump it is: let it decide by a mode, or by a "
                            "number that is away from the jump"});
-      } else if ((*has_kinks)[i] != 0) {
+      } else if (has_kink[i] != 0) {
         remarks.push_back({reset + "has a kink at its event", entry.t, ": its derivatives differ from side to side"});
       }
     }
@@ -658,7 +674,7 @@ class HybridSimulator::Impl {
   MotionDerivatives derivatives;
   // Results about the last rollout, once they have been asked for.
   std::vector<char> one_sided;
-  std::optional<std::vector<char>> has_kinks;  // of each entry of the tape: of its reset
+  std::optional<std::vector<MotionDerivatives::Kink>> kinks;
   std::vector<HybridTie> ties;
 };
 
@@ -683,7 +699,7 @@ bool HybridSimulator::Rollout(const HybridInput& input) {
   if (input.control.empty())
     at.input.control.resize(static_cast<std::size_t>(input.num_intervals) * at.system.num_controls());
   at.one_sided.clear();
-  at.has_kinks.reset();
+  at.kinks.reset();
   at.ties.clear();
   at.why_not_finite.clear();
   at.error.reset();
@@ -777,8 +793,8 @@ std::string HybridSimulator::ReasonNotDifferentiable() const {
          grazing.time,
          is_switch ? "" : ": it touches zero and returns, and an event happens only where it falls through zero"});
   }
-  const std::vector<TimedRemark> of_resets = impl_->RemarksOnResets();
-  remarks.insert(remarks.end(), of_resets.begin(), of_resets.end());
+  const std::vector<TimedRemark> of_kinks = impl_->RemarksOnKinks();
+  remarks.insert(remarks.end(), of_kinks.begin(), of_kinks.end());
   const std::vector<HybridTie>& ties = impl_->Ties();
   for (const HybridTie& tie : ties) {
     if (tie.ambiguous) remarks.push_back(RemarkOnTie(system, tie, "the order of their events matters"));
@@ -840,9 +856,10 @@ HybridGradient HybridSimulator::Adjoint(std::span<const double> final_cotangent)
   return Adjoint(cotangent);
 }
 
-HybridSensitivity HybridSimulator::Sensitivity() {
+HybridSensitivity HybridSimulator::Sensitivity(bool by_parameters) {
   CHECK(impl_->done) << "the rollout failed";
-  HybridSensitivity found = impl_->derivatives.Sensitivity(impl_->input, impl_->run->tape(), impl_->run->events());
+  HybridSensitivity found =
+      impl_->derivatives.Sensitivity(impl_->input, impl_->run->tape(), impl_->run->events(), by_parameters);
   const bool finite = Impl::IsFinite(found);
   return impl_->Checked(std::move(found), finite);
 }

@@ -47,7 +47,8 @@ HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const Motion
   int interval = input.num_intervals;
   for (std::size_t i = tape.entries.size(); i-- > 0;) {
     const TapeEntry& entry = tape.entries[i];
-    const FlowStep step = StepOf(input, tape, entry);
+    FlowStep step = StepOf(input, tape, entry);
+    step.by_parameters = cotangent.by_parameters;
     const int n = system_.state_size(entry.mode);
     if (entry.kind == TapeEntry::Kind::kReset) {
       if (!cotangent.after.empty() && !cotangent.after[entry.event].empty()) {
@@ -104,6 +105,7 @@ HybridGradient MotionDerivatives::Adjoint(const HybridInput& input, const Motion
   }
   CHECK_EQ(events.size(), cotangent.event_times.empty() ? events.size() : cotangent.event_times.size());
   gradient.initial = std::move(x);
+  if (!cotangent.by_parameters) std::ranges::fill(gradient.parameters, 0.0);
   return gradient;
 }
 
@@ -113,7 +115,8 @@ void MotionDerivatives::PushForward(const HybridInput& input, const MotionTape& 
   using Matrix = RungeKutta::Matrix;
   const HybridFunctions& f = system_.functions();
   const int num_parameters = system_.num_parameters(), num_controls = system_.num_controls();
-  const FlowStep step = StepOf(input, tape, entry);
+  FlowStep step = StepOf(input, tape, entry);
+  step.by_parameters = !at->p.isZero(0);
   const int n = system_.state_size(entry.mode);
   const Eigen::Index columns = at->x.cols();
   if (entry.kind == TapeEntry::Kind::kReset) {
@@ -149,7 +152,7 @@ void MotionDerivatives::PushForward(const HybridInput& input, const MotionTape& 
 }
 
 HybridSensitivity MotionDerivatives::Sensitivity(const HybridInput& input, const MotionTape& tape,
-                                                 const std::vector<HybridEvent>& events) {
+                                                 const std::vector<HybridEvent>& events, bool by_parameters) {
   using Matrix = RungeKutta::Matrix;
   const int num_parameters = system_.num_parameters(), num_controls = system_.num_controls();
   const int n0 = system_.state_size(input.mode), all_controls = input.num_intervals * num_controls;
@@ -163,7 +166,7 @@ HybridSensitivity MotionDerivatives::Sensitivity(const HybridInput& input, const
   at.x.leftCols(n0).setIdentity();
   at.t = Eigen::RowVectorXd::Zero(columns);
   at.p = Matrix::Zero(num_parameters, columns);
-  at.p.middleCols(n0 + all_controls, num_parameters).setIdentity();
+  if (by_parameters) at.p.middleCols(n0 + all_controls, num_parameters).setIdentity();
   const Eigen::RowVectorXd of_duration = Eigen::RowVectorXd::Unit(columns, columns - 1);
   for (const TapeEntry& entry : tape.entries) {
     if (out.nodes.size() < tape.intervals.size() &&
@@ -307,54 +310,165 @@ std::vector<char> MotionDerivatives::FindOneSided(const HybridInput& input, cons
   return one_sided;
 }
 
-std::vector<char> MotionDerivatives::FindKinksOfResets(const HybridInput& input, const MotionTape& tape) {
-  const Directions directions = MakeDirections(input);
-  RungeKutta::Tangent at = directions.begin;
-  std::vector<char> has_kink;
-  for (const TapeEntry& entry : tape.entries) {
-    at.u = directions.controls.middleRows(entry.interval * system_.num_controls(), system_.num_controls());
-    const bool may_have = entry.kind == TapeEntry::Kind::kReset &&
-                          system_.functions().ResetMayBreak(entry.mode, entry.guard) && at.x.allFinite();
-    has_kink.push_back(may_have && HasKink(StepOf(input, tape, entry), entry.guard, at));
-    PushForward(input, tape, entry, directions.duration, &at);
+// The numbers that decide about the functions at a point, and are zero though the motion goes on: switches on whose
+// zero it stays, and conditions on parameters and the control.
+std::vector<std::string> MotionDerivatives::UndecidedAt(const ModePoint& at) const {
+  const HybridFunctions& f = system_.functions();
+  std::vector<std::string> names = f.UndecidedConditions(at);
+  if (f.num_switches(at.mode) == 0) return names;
+  std::vector<double> slope(system_.state_size(at.mode));
+  f.Flow(at, slope.data());
+  for (int guard = 0; guard < system_.num_guards(at.mode); ++guard) {
+    if (StaysAtZero(at, guard, slope)) names.push_back(system_.GuardName(at.mode, guard));
   }
-  return has_kink;
+  return names;
 }
 
-// Whether the slopes of a reset along one of the directions differ from one side of the event to the other, and do not
-// approach each other nearer to it.
-bool MotionDerivatives::HasKink(const ModePoint& event, int guard, const RungeKutta::Tangent& directions) const {
+bool MotionDerivatives::StaysAtZero(const ModePoint& at, int guard, const std::vector<double>& slope) const {
+  const HybridFunctions& f = system_.functions();
+  if (!f.IsSwitch(at.mode, guard) || f.IsOn(at.mode, guard)) return f.IsOn(at.mode, guard);
+  double rate = 0;
+  return f.GuardRate(at, guard, slope.data(), &rate) == 0 && rate == 0;
+}
+
+std::vector<MotionDerivatives::Kink> MotionDerivatives::FindKinks(const HybridInput& input, const MotionTape& tape) {
+  const HybridFunctions& f = system_.functions();
+  std::vector<std::vector<std::string>> undecided(tape.entries.size());
+  bool any = false;
+  for (std::size_t i = 0; i < tape.entries.size(); ++i) {
+    const TapeEntry& entry = tape.entries[i];
+    if (entry.kind == TapeEntry::Kind::kReset) {
+      any = any || f.ResetMayBreak(entry.mode, entry.guard);
+    } else if (entry.h > 0) {
+      undecided[i] = UndecidedAt(StepOf(input, tape, entry));
+      any = any || !undecided[i].empty();
+    }
+  }
+  std::vector<Kink> kinks;
+  if (!any) return kinks;
+  const Directions directions = MakeDirections(input);
+  RungeKutta::Tangent at = directions.begin;
+  for (std::size_t i = 0; i < tape.entries.size() && at.x.allFinite(); ++i) {
+    const TapeEntry& entry = tape.entries[i];
+    const FlowStep step = StepOf(input, tape, entry);
+    at.u = directions.controls.middleRows(entry.interval * system_.num_controls(), system_.num_controls());
+    if (entry.kind == TapeEntry::Kind::kReset && f.ResetMayBreak(entry.mode, entry.guard)) {
+      const auto reset = [&](const ModePoint& point) {
+        Value after{0, Eigen::VectorXd::Zero(f.most_states())};
+        after.mode = f.Reset(point, entry.guard, after.numbers.data());
+        if (after.mode >= 0) after.numbers.conservativeResize(system_.state_size(after.mode));
+        if (after.mode >= 0) after.mode = f.BaseMode(after.mode);
+        return after;
+      };
+      f.ResetJacobian(step, entry.guard, state_.data(), reset_.data());
+      if (HasKink(step, at, reset_.data(), false, reset)) kinks.push_back({i, Kink::kReset, {}});
+    }
+    const bool is_known = i > 0 && !kinks.empty() && kinks.back().names == undecided[i];
+    if (!undecided[i].empty() && !is_known) {
+      const auto flow = [&](const ModePoint& point) {
+        Value slope{0, Eigen::VectorXd::Zero(system_.state_size(point.mode))};
+        f.Flow(point, slope.numbers.data());
+        return slope;
+      };
+      const auto n = static_cast<std::size_t>(system_.state_size(entry.mode));
+      std::vector<double> slope(n), jacobian(n * guard_.size());
+      f.FlowJacobian(step, slope.data(), jacobian.data());
+      if (HasKink(step, at, jacobian.data(), true, flow)) kinks.push_back({i, Kink::kFlow, undecided[i]});
+    }
+    PushForward(input, tape, entry, directions.duration, &at);
+    if (entry.kind != TapeEntry::Kind::kToEvent || f.IsSwitch(entry.mode, entry.guard)) continue;
+    const ModePoint event = StepOf(input, tape, tape.entries[i + 1]);
+    const std::vector<std::string> names = UndecidedAt(event);
+    const auto guard = [&](const ModePoint& point) {
+      return Value{0, Eigen::VectorXd::Constant(1, f.Guard(point, entry.guard))};
+    };
+    if (names.empty()) continue;
+    f.GuardGradient(event, entry.guard, guard_.data());
+    if (HasKink(event, at, guard_.data(), true, guard)) kinks.push_back({i, Kink::kGuard, names});
+  }
+  return kinks;
+}
+
+// The piece in which a motion is that is moved along a direction from one on whose switches it stays.
+int MotionDerivatives::PieceBeside(ModePoint at, const RungeKutta::Tangent& directions, Eigen::Index column,
+                                   double sign) {
+  constexpr double kSame = 1e-9;  // of the terms of a change of a switch: no change
+  const HybridFunctions& f = system_.functions();
+  const Eigen::Index n = directions.x.rows(), num_parameters = directions.p.rows(), num_controls = directions.u.rows();
+  Eigen::VectorXd along(n + 1 + num_parameters + num_controls), gradient(along.size());
+  along << directions.x.col(column), directions.t[column], directions.p.col(column), directions.u.col(column);
+  std::vector<double> slope(n);
+  for (int turns = 0, guard = 0; turns < system_.num_guards(at.mode) && guard < system_.num_guards(at.mode); ++guard) {
+    f.Flow(at, slope.data());
+    if (!StaysAtZero(at, guard, slope)) continue;
+    f.GuardGradient(at, guard, gradient.data());
+    const double change = sign * gradient.dot(along);
+    if (std::abs(change) <= kSame * gradient.cwiseAbs().dot(along.cwiseAbs())) continue;
+    using Side = HybridFunctions::Side;
+    const bool on = f.IsOn(at.mode, guard);
+    if (!on && change > 0) continue;
+    const int beside = f.AdjacentPiece(at, guard, !on ? Side::kOther : change > 0 ? Side::kAbove : Side::kBelow);
+    if (beside < 0) return -1;
+    at.mode = beside;
+    guard = -1;  // the piece has its own switches
+    ++turns;
+  }
+  return at.mode;
+}
+
+// Whether the slopes of a function along one of the directions differ from one side of a point to the other, or from
+// its derivative there, and do not approach each other nearer to it. `jacobian`: by [x t p] or [x t p u], row by row.
+// Functions that jump on a switch, as where it stops a motion, are compared on it alone.
+bool MotionDerivatives::HasKink(const ModePoint& at, const RungeKutta::Tangent& directions, const double* jacobian,
+                                bool reads_control, const std::function<Value(const ModePoint&)>& value) {
   constexpr double kBeside = 1e-6, kNearer = 1e-7;  // of the size of the state and the parameters
   constexpr double kChange = 1e-5, kRemains = 0.5;  // of the slopes, and of their difference at kBeside
-  constexpr double kRounding = 1e-14;               // of the state after the reset
+  constexpr double kRounding = 1e-14;               // of the value
+  constexpr double kSameValue = 1e-9;               // likewise, on both sides of a switch where it does not jump
   using Vector = Eigen::VectorXd;
-  const HybridFunctions& f = system_.functions();
-  const Eigen::Map<const Vector> x(event.x, directions.x.rows()), p(event.p, directions.p.rows());
-  const auto reset_at = [&](Eigen::Index column, double part, int* mode) {
-    const Vector moved = x + part * directions.x.col(column), moved_p = p + part * directions.p.col(column);
-    Vector after = Vector::Zero(f.most_states());
-    const int next = f.Reset({event.mode, event.t + part * directions.t[column], moved.data(), event.u, moved_p.data()},
-                             guard,
-                             after.data());
-    *mode = next < 0 ? -1 : f.BaseMode(next);
-    if (next >= 0) after.conservativeResize(system_.state_size(next));
-    return after;
-  };
+  const Eigen::Map<const Vector> x(at.x, directions.x.rows()), p(at.p, directions.p.rows()),
+      u(at.u, directions.u.rows());
+  const Value here = value(at);
+  if (here.mode < 0) return false;
+  const Eigen::Index n = x.size(), columns = n + 1 + p.size() + (reads_control ? u.size() : 0);
+  const Eigen::Map<const RungeKutta::Matrix> by(jacobian, here.numbers.size(), columns);
+  Eigen::MatrixXd by_directions =
+      by.leftCols(n) * directions.x + by.col(n) * directions.t + by.middleCols(n + 1, p.size()) * directions.p;
+  if (reads_control) by_directions += by.rightCols(u.size()) * directions.u;
+  if (!by_directions.allFinite()) return false;  // which is told as such
   for (Eigen::Index column = 0; column < directions.t.size(); ++column) {
-    const double size = (1 + x.norm() + p.norm()) / (1 + directions.x.col(column).norm() +
-                                                     directions.p.col(column).norm() + std::abs(directions.t[column]));
+    const double size =
+        (1 + x.norm() + p.norm() + u.norm()) / (1 + directions.x.col(column).norm() + directions.p.col(column).norm() +
+                                                directions.u.col(column).norm() + std::abs(directions.t[column]));
+    const auto value_at = [&](int mode, double part) {
+      const Vector moved = x + part * directions.x.col(column), moved_p = p + part * directions.p.col(column),
+                   moved_u = u + part * directions.u.col(column);
+      return value({mode, at.t + part * directions.t[column], moved.data(), moved_u.data(), moved_p.data()});
+    };
+    const int sides[] = {PieceBeside(at, directions, column, -1), PieceBeside(at, directions, column, 1)};
+    const auto jumps = [&](int side) {
+      if (side < 0) return true;
+      const Value there = value_at(side, 0);
+      return there.numbers.size() != here.numbers.size() ||
+             (there.numbers - here.numbers).lpNorm<Eigen::Infinity>() >
+                 kSameValue * (there.numbers.lpNorm<Eigen::Infinity>() + here.numbers.lpNorm<Eigen::Infinity>());
+    };
+    const bool moves = (sides[0] != at.mode || sides[1] != at.mode) && !std::ranges::any_of(sides, jumps);
     double difference[2] = {}, known = 0;
     for (const int i : {0, 1}) {
       const double part = (i == 0 ? kBeside : kNearer) * size;
-      int mode = 0, mode_before = 0, mode_behind = 0;
-      const Vector at = reset_at(column, 0, &mode), before = reset_at(column, -part, &mode_before),
-                   behind = reset_at(column, part, &mode_behind);
-      if (mode < 0) return false;
-      if (mode_before != mode || mode_behind != mode) return true;
-      const Vector slope = (behind - at) / part, slope_before = (at - before) / part;
-      difference[i] = (slope - slope_before).lpNorm<Eigen::Infinity>();
-      known = kChange * std::max(slope.lpNorm<Eigen::Infinity>(), slope_before.lpNorm<Eigen::Infinity>()) +
-              kRounding * at.lpNorm<Eigen::Infinity>() / part;
+      std::vector<Vector> slopes = {by_directions.col(column)};
+      for (const int side : {0, 1}) {
+        const double moved = side == 0 ? -part : part;
+        const Value there = value_at(moves ? sides[side] : at.mode, moved);
+        if (there.mode != here.mode || there.numbers.size() != here.numbers.size()) return true;
+        slopes.emplace_back((there.numbers - here.numbers) / moved);
+      }
+      known = kRounding * here.numbers.lpNorm<Eigen::Infinity>() / part;
+      for (const Vector& slope : slopes) {
+        difference[i] = std::max(difference[i], (slope - slopes.front()).lpNorm<Eigen::Infinity>());
+        known = std::max(known, kChange * slope.lpNorm<Eigen::Infinity>());
+      }
     }
     if (difference[0] > known && difference[1] > known && difference[1] >= kRemains * difference[0]) return true;
   }

@@ -11,6 +11,7 @@
 // Precondition: an input has all numbers of its control.
 #pragma once
 
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -27,14 +28,20 @@ class MotionDerivatives {
 
   HybridGradient Adjoint(const HybridInput& input, const MotionTape& tape, const std::vector<HybridEvent>& events,
                          const HybridCotangent& cotangent);
+  // Its columns of the parameters are zero unless `by_parameters`.
   HybridSensitivity Sensitivity(const HybridInput& input, const MotionTape& tape,
-                                const std::vector<HybridEvent>& events);
+                                const std::vector<HybridEvent>& events, bool by_parameters);
   // Returns for each coincidence of the tape whether the derivative differs on another side: changes of the motion in
   // some directions of the input are compared with those that its events lead to if their order follows the change.
   std::vector<char> FindOneSided(const HybridInput& input, const MotionTape& tape, TiedEvents* tied);
-  // Returns for each entry of the tape whether it is a reset with a kink or a jump at the state of its event: in some
-  // directions of the input, its change on one side is not that on the other.
-  std::vector<char> FindKinksOfResets(const HybridInput& input, const MotionTape& tape);
+  // A function that is not smooth where the motion is: in some directions of the input, its change on one side is not
+  // that on the other.
+  struct Kink {
+    std::size_t entry = 0;  // of the tape: a reset, a step to the event of a guard, or the first one in the flow
+    enum { kReset, kGuard, kFlow } kind = kReset;
+    std::vector<std::string> names;  // of the flow or a guard: the numbers that are zero
+  };
+  std::vector<Kink> FindKinks(const HybridInput& input, const MotionTape& tape);
   // Sets the spread of the tie of a coincidence.
   void Compare(const HybridInput& input, const MotionTape& tape, const Coincidence& coincidence, TiedEvents* tied,
                HybridTie* tie) const;
@@ -68,7 +75,16 @@ class MotionDerivatives {
     RungeKutta::Tangent begin;
   };
   Directions MakeDirections(const HybridInput& input) const;
-  bool HasKink(const ModePoint& event, int guard, const RungeKutta::Tangent& directions) const;
+  std::vector<std::string> UndecidedAt(const ModePoint& at) const;
+  bool StaysAtZero(const ModePoint& at, int guard, const std::vector<double>& slope) const;
+  int PieceBeside(ModePoint at, const RungeKutta::Tangent& directions, Eigen::Index column, double sign);
+  // What a function returns at a point, and the mode to which it leads if it is a reset.
+  struct Value {
+    int mode = 0;
+    Eigen::VectorXd numbers;
+  };
+  bool HasKink(const ModePoint& at, const RungeKutta::Tangent& directions, const double* jacobian, bool reads_control,
+               const std::function<Value(const ModePoint&)>& value);
   std::string VariableName(int mode, int column) const;
   FlowStep StepOf(const HybridInput& input, const MotionTape& tape, const TapeEntry& entry) const;
 

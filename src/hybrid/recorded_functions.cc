@@ -776,7 +776,7 @@ void RecordedFunction::Linearize(std::span<const Part> inputs, int columns, doub
   }
 }
 
-void RecordedFunction::Linearize(const std::vector<Part>& inputs, double* outputs, double** jacobians) const {
+void RecordedFunction::Linearize(std::span<const Part> inputs, double* outputs, double** jacobians) const {
   Evaluation at(*this, true, inputs);
   at.Run(outputs);
   for (std::size_t i = 0; i < inputs.size(); ++i) {
@@ -830,7 +830,8 @@ RecordedSystem::RecordedSystem(HybridLayout layout, std::vector<Mode> modes, boo
     if (mode.fly) functions.push_back(&mode.fly->recording());
     auto switches = std::make_unique<const RecordedSwitches>(functions, sizes[i]);
     most_guards_ = std::max(most_guards_, static_cast<int>(mode.transitions.size()) + 2 * switches->count());
-    switches_.push_back(switches->count() > 0 ? std::move(switches) : nullptr);
+    switches_.push_back(switches->count() > 0 ? switches.get() : nullptr);
+    conditions_.push_back(std::move(switches));
     parts_.emplace_back();
     if (linear_[i] && switches_.back() == nullptr) {
       auto parts =
@@ -1037,6 +1038,19 @@ std::string RecordedSystem::GuardName(int mode, int guard) const {
   const Evaluated& piece = at(mode);
   const int first = num_guards(mode) - num_switches(mode);
   if (guard < first) return HybridFunctions::GuardName(piece.base, guard);
+  return switches_[piece.base]->TextOf(piece.switches[guard - first].number, SwitchInputNames(mode));
+}
+
+std::vector<std::string> RecordedSystem::UndecidedConditions(const ModePoint& point) const {
+  const Evaluated& piece = at(point.mode);
+  const RecordedSwitches& conditions = *conditions_[piece.base];
+  if (!conditions.HasFixedConditions()) return {};
+  RecordedSwitches::Sides sides = piece.sides;
+  sides.resize(conditions.count(), RecordedSwitches::kIrrelevant);
+  return conditions.UndecidedAt(SwitchInputsAt(point), std::move(sides), SwitchInputNames(point.mode));
+}
+
+std::vector<std::string> RecordedSystem::SwitchInputNames(int mode) const {
   std::vector<std::string> names;
   for (int i = 0; i < size(mode); ++i) names.push_back(StateName(mode, i));
   names.push_back("t");
@@ -1048,7 +1062,7 @@ std::string RecordedSystem::GuardName(int mode, int guard) const {
   add(layout().parameter_names, num_parameters(), "p");
   add(layout().control_names, layout().num_controls, "u");
   names.emplace_back("s");
-  return switches_[piece.base]->TextOf(piece.switches[guard - first].number, names);
+  return names;
 }
 
 bool RecordedSystem::ReadsControl(int mode, int guard) const {
@@ -1275,17 +1289,21 @@ RecordedCost::RecordedCost(RecordedFunction function, const std::vector<int>& bl
   int inputs = 0;
   for (const int size : block_sizes) inputs += size;
   CHECK_EQ(inputs, function_.num_inputs());
+  CHECK_LE(block_sizes.size(), kMostBlocks);
   *mutable_parameter_block_sizes() = block_sizes;
   set_num_residuals(function_.num_outputs());
 }
 
 bool RecordedCost::Evaluate(double const* const* parameters, double* residuals, double** jacobians) const {
-  std::vector<RecordedFunction::Part> parts;
-  for (std::size_t i = 0; i < parameter_block_sizes().size(); ++i) {
-    parts.push_back({parameters[i], parameter_block_sizes()[i]});
+  std::array<RecordedFunction::Part, kMostBlocks> parts;
+  const std::size_t count = parameter_block_sizes().size();
+  for (std::size_t i = 0; i < count; ++i) parts[i] = {parameters[i], parameter_block_sizes()[i]};
+  const std::span<const RecordedFunction::Part> inputs(parts.data(), count);
+  if (jacobians != nullptr) {
+    function_.Linearize(inputs, residuals, jacobians);
+  } else {
+    function_.Evaluate(inputs, residuals);
   }
-  std::vector<double*> none(parts.size(), nullptr);
-  function_.Linearize(parts, residuals, jacobians == nullptr ? none.data() : jacobians);
   return true;
 }
 

@@ -134,7 +134,7 @@ class RecordedFunction {
   // Computes the outputs and their derivatives by the inputs: row-major, of the first `columns` inputs.
   void Linearize(std::span<const Part> inputs, int columns, double* outputs, double* jacobian) const;
   // Linearizes with the parts of a cost function: any of `jacobians` may be null.
-  void Linearize(const std::vector<Part>& inputs, double* outputs, double** jacobians) const;
+  void Linearize(std::span<const Part> inputs, double* outputs, double** jacobians) const;
 
   class Evaluation;
 
@@ -213,6 +213,7 @@ class RecordedSystem final : public HybridFunctions {
   int PieceAt(const ModePoint& point) const override;
   int AdjacentPiece(const ModePoint& point, int guard, Side side) const override;
   bool IsOn(int mode, int guard) const override;
+  std::vector<std::string> UndecidedConditions(const ModePoint& point) const override;
   bool ResetMayBreak(int mode, int guard) const override {
     return !IsSwitch(mode, guard) && transition(mode, guard).reset.MayBreak();
   }
@@ -280,6 +281,7 @@ class RecordedSystem final : public HybridFunctions {
   int PieceAlong(const ModePoint& point, int guard) const;
   bool PointsAt(const ModePoint& point, int number) const;
   std::vector<double> SwitchInputsAt(const ModePoint& point) const;
+  std::vector<std::string> SwitchInputNames(int mode) const;
   std::vector<int> SidesAt(const ModePoint& point, std::vector<int> known) const;
 
   int size(int mode) const { return at(mode).size; }
@@ -302,8 +304,9 @@ class RecordedSystem final : public HybridFunctions {
   const std::vector<Mode> modes_;
   std::vector<std::optional<LinearFlow>> linear_;  // of each mode, as it is recorded
   const bool slides_;
-  std::vector<std::unique_ptr<const RecordedSwitches>> switches_;  // of each mode; null: it has none
-  std::vector<std::unique_ptr<const LinearParts>> parts_;          // of each mode; null: it has one
+  std::vector<std::unique_ptr<const RecordedSwitches>> conditions_;  // of each mode
+  std::vector<const RecordedSwitches*> switches_;                    // these, of each mode; null: it has no switches
+  std::vector<std::unique_ptr<const LinearParts>> parts_;            // of each mode; null: it has one
   int most_guards_ = 0;
   std::vector<double> no_control_;  // zeros
   static constexpr int kBlocks = 24;
@@ -318,11 +321,12 @@ class RecordedSystem final : public HybridFunctions {
 // Residuals of the given blocks.
 class RecordedCost final : public ceres::CostFunction {
  public:
-  // Precondition: the sizes of the blocks add up to the number of inputs.
+  // Preconditions: the sizes of the blocks, at most kMostBlocks, add up to the number of inputs.
   RecordedCost(RecordedFunction function, const std::vector<int>& block_sizes);
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
 
  private:
+  static constexpr std::size_t kMostBlocks = 8;
   const RecordedFunction function_;
 };
 

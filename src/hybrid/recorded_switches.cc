@@ -50,6 +50,12 @@ int RecordedSwitches::Add(const Node& node) {
   } else if (moves && (node.operation == kAbs || node.operation == kSign)) {
     decides = SignOf(node.a, 1);
   }
+  if (!moves && last >= 0) {
+    int sign = 0;
+    const bool compares = node.operation == kLess || node.operation == kLessEqual;
+    if (compares || node.operation == kFloor || node.operation == kAbs || node.operation == kSign)
+      fixed_.push_back({compares ? Compare(node.a, node.b, &sign) : node.a, node.operation == kFloor});
+  }
   const int index = static_cast<int>(nodes_.size());
   nodes_.push_back(node);
   last_input_.push_back(last);
@@ -288,6 +294,25 @@ std::vector<double> RecordedSwitches::ValuesOf(std::span<const double> inputs, S
   return values;
 }
 
+std::vector<std::string> RecordedSwitches::UndecidedAt(std::span<const double> inputs, Sides sides,
+                                                       std::span<const std::string> names) const {
+  constexpr double kRounding = 1e-15;  // of the operands
+  const std::vector<double> values = ValuesOf(inputs, &sides);
+  std::vector<std::string> texts;
+  for (const Switch& fixed : fixed_) {
+    const Node& node = nodes_[fixed.node];
+    const double value = values[fixed.node];
+    double size = std::abs(value);
+    if (node.operation == Operation::kAdd || node.operation == Operation::kSubtract)
+      size = std::max({size, std::abs(values[node.a]), std::abs(values[node.b])});
+    const double off = fixed.is_floor ? value - std::round(value) : value;
+    if (!(std::abs(off) <= kRounding * size)) continue;
+    std::string text = TextOfNode(fixed.node, names);
+    if (std::ranges::find(texts, text) == texts.end()) texts.push_back(std::move(text));
+  }
+  return texts;
+}
+
 RecordedSwitches::Sides RecordedSwitches::WithSide(std::span<const double> inputs, Sides sides, int number,
                                                    int side) const {
   constexpr double kSame = 1e-9;  // relative: values of a number that does not jump
@@ -419,7 +444,7 @@ ExpressionGraph RecordedSwitches::Guard(int number, int by, const Sides& sides, 
   return std::move(piece.graph);
 }
 
-std::string RecordedSwitches::TextOf(int number, std::span<const std::string> inputs) const {
+std::string RecordedSwitches::TextOfNode(int number, std::span<const std::string> inputs) const {
   constexpr int kDeepest = 6;
   const std::function<std::string(int, int)> text_at = [&](int index, int depth) -> std::string {
     if (depth > kDeepest) return "...";
@@ -451,7 +476,7 @@ std::string RecordedSwitches::TextOf(int number, std::span<const std::string> in
         return call + ")";
     }
   };
-  std::string out = text_at(switches_[number].node, 0);
+  std::string out = text_at(number, 0);
   if (out.size() > 2 && out.front() == '(') out = out.substr(1, out.size() - 2);
   constexpr std::size_t kLongest = 60;
   return out.size() <= kLongest ? out : out.substr(0, kLongest - 3) + "...";

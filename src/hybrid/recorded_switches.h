@@ -27,7 +27,9 @@ class RecordedSwitches {
   // Whether the number depends on an input from `first` on.
   bool ReadsInputsFrom(int first, int number) const { return last_input_[switches_[number].node] >= first; }
   // The number as a formula in the names of the inputs.
-  std::string TextOf(int number, std::span<const std::string> inputs) const;
+  std::string TextOf(int number, std::span<const std::string> inputs) const {
+    return TextOfNode(switches_[number].node, inputs);
+  }
 
   // The side of each switch: the sign of its number (-1, 0 or 1), kSliding where the motion goes along its zeros, or
   // its integer part; kIrrelevant where no function depends on it in this piece.
@@ -55,6 +57,12 @@ class RecordedSwitches {
   // A number that is above zero within the piece and falls through zero where the piece ends: for the integer part
   // below (by = -1) or above (by = 1), or where the sign changes. On a sign of zero it is the number itself.
   ExpressionGraph Guard(int number, int by, const Sides& sides, std::vector<int>* used) const;
+  // Whether some conditions are on parameters and the control alone, which no motion changes.
+  bool HasFixedConditions() const { return !fixed_.empty(); }
+  // Returns the numbers of such conditions that are zero, but for rounding, or integers of which they take the integer
+  // part.
+  std::vector<std::string> UndecidedAt(std::span<const double> inputs, Sides sides,
+                                       std::span<const std::string> names) const;
   // The integer parts, as inputs of functions.
   std::vector<double> Floors(const Sides& sides) const;
 
@@ -79,6 +87,8 @@ class RecordedSwitches {
   std::vector<double> ValuesOf(std::span<const double> inputs, Sides* known) const;
   Sides RelevantSides(std::span<const double> inputs, Sides known) const;
 
+  std::string TextOfNode(int number, std::span<const std::string> inputs) const;
+
   // A graph of nodes of a piece: those that its outputs need.
   class Piece;
 
@@ -87,7 +97,7 @@ class RecordedSwitches {
   std::vector<int> last_input_;               // that a node depends on; -1: none
   std::vector<char> moves_;                   // whether it depends on the state or the time
   std::vector<std::pair<int, int>> of_node_;  // switch and sign of a node that decides; -1: none
-  std::vector<Switch> switches_;
+  std::vector<Switch> switches_, fixed_;      // that a motion changes, and those that it does not
   std::map<std::pair<int, bool>, int> known_switches_;
   std::vector<std::vector<int>> outputs_;  // of each function
   int num_inputs_, num_states_;

@@ -251,8 +251,9 @@ bool RolloutRun::SwitchControl() {
   const std::size_t events = events_.size();
   const auto note_touches = [&] {  // that end where the control jumps
     for (const int guard : touching) {
-      const bool returns = events_.size() == events && at_.mode == mode && at_.guards[guard].rate > 0 &&
-                           (!functions_.IsSwitch(mode, guard) || FlowJumpsAt(StepFrom(0), guard));
+      const int now = events_.size() == events ? NumberIn(at_.mode, mode, guard) : -1;
+      const bool returns =
+          now >= 0 && at_.guards[now].rate > 0 && (!functions_.IsSwitch(mode, guard) || FlowJumpsAt(StepFrom(0), now));
       if (returns && !IsLastGrazing(mode, guard, at_.t)) grazings_.push_back({at_.t, mode, guard});
     }
   };
@@ -417,6 +418,47 @@ bool RolloutRun::AreParallel(const ModePoint& a, int guard_a, const ModePoint& b
   return (of_a * of_b[largest] - of_b * of_a[largest]).lpNorm<Eigen::Infinity>() <= kSame * size;
 }
 
+// Whether another guard, as the share of a side in the flow along a switch, differs from side to side of a switch. If
+// none does, its side determines nothing about how the motion goes on along others.
+bool RolloutRun::GuardsChangeWith(int guard) const {
+  using Side = HybridFunctions::Side;
+  const FlowStep here = StepFrom(0);
+  std::vector<double> values[2];
+  for (const int i : {0, 1}) {
+    FlowStep beside = here;
+    beside.mode = functions_.AdjacentPiece(here, guard, i == 0 ? Side::kBelow : Side::kAbove);
+    if (beside.mode < 0) return true;
+    const int itself = NumberIn(beside.mode, at_.mode, guard);
+    for (int other = 0; other < system_.num_guards(beside.mode); ++other) {
+      if (other != itself) values[i].push_back(functions_.Guard(beside, other));
+    }
+  }
+  const auto same = [](double a, double b) { return std::abs(a - b) <= kSameSlope * (std::abs(a) + std::abs(b)); };
+  return !std::ranges::equal(values[0], values[1], same);
+}
+
+// The number of a guard of the piece `from` in the piece `to` of the same mode, where at_ is; -1 if it has none.
+int RolloutRun::NumberIn(int to, int from, int guard) const {
+  if (from == to) return guard;
+  if (functions_.BaseMode(from) != functions_.BaseMode(to)) return -1;
+  if (!functions_.IsSwitch(from, guard)) return guard;
+  FlowStep before = StepFrom(0), behind = before;
+  before.mode = from;
+  behind.mode = to;
+  const int count = system_.num_guards(to);
+  for (int other = count - functions_.num_switches(to); other < count; ++other) {
+    if (AreParallel(before, guard, behind, other)) return other;
+  }
+  return -1;
+}
+
+// Whether a switch that does not read the control was above zero before the control jumped, in the piece `before`.
+bool RolloutRun::WaitsBehindJump(int before, int guard) const {
+  if (functions_.ReadsControl(at_.mode, guard)) return false;
+  const int then = NumberIn(before, at_.mode, guard);
+  return then >= 0 && at_.armed[then] != 0 && at_.armed[then] != kHeld;
+}
+
 // Finds the piece of the mode in which the motion goes on, and leaves its slope and guards in at_: a switch below zero,
 // or at zero and falling, takes its other side. If both sides point at the switch, the motion stays on it if the flow
 // there keeps it. A jump of the control turns no switch that does not read it: one that is about to fall through zero
@@ -444,8 +486,8 @@ bool RolloutRun::ChooseSwitchSides(Entry entry) {
       using Side = HybridFunctions::Side;
       const bool stays =
           on && functions_.AdjacentPiece(here, guard, Side::kSliding) < 0 && StaysOnSwitch(here, guard, fastest);
-      const bool waits = entry == Entry::kControlJump && at_.mode == mode && standing == GuardStatus::kFalling &&
-                         at_.armed[guard] != 0 && !functions_.ReadsControl(at_.mode, guard);
+      const bool waits =
+          entry == Entry::kControlJump && standing == GuardStatus::kFalling && WaitsBehindJump(mode, guard);
       if (on ? stays : rises || waits) continue;
       const bool second = IsSecondSwitch(guard);
       if (turns >= 0 && second) continue;
@@ -461,7 +503,7 @@ bool RolloutRun::ChooseSwitchSides(Entry entry) {
       const int along = functions_.AdjacentPiece(here, turns, HybridFunctions::Side::kSliding);
       if (along >= 0 && !known(along)) {
         if (!events_.empty() && events_.back().is_switch && tape_.entries.back().kind == TapeEntry::Kind::kReset &&
-            (&tape_.entries.back())[-1].h > 0) {
+            (&tape_.entries.back())[-1].h > 0 && GuardsChangeWith(turns)) {
           Remark("the motion meets switch '" + system_.GuardName(at_.mode, turns) + "' and another one",
                  ", where Filippov's convention need not determine how it goes on");
         }
@@ -680,6 +722,7 @@ bool RolloutRun::EnterMode(Entry entry) {
       at_.armed[guard] = standing == GuardStatus::kArmed;
       at_.at_zero[guard] = standing == GuardStatus::kRising;
       if (switches && functions_.IsSwitch(at_.mode, guard)) {
+        if (standing == GuardStatus::kFalling) at_.armed[guard] = true;  // its event is in the step behind
         if (!functions_.IsOn(at_.mode, guard)) continue;
         at_.armed[guard] = kHeld;
         at_.at_zero[guard] = 0;
@@ -1112,7 +1155,14 @@ bool RolloutRun::TakeEvent(const PendingEvent& due, const FlowStep& step) {
                       remaining * std::abs(at_event.rate) <=
                           search_.WindowOf(StepFrom(0), first, at_event.rate, Elapsed(at_.t)).integrated;
   if (at_end) {
-    if (!turns) Remark(name + " has an event at the final time");
+    for (const int guard : coincidence.guards) {
+      const std::string its_name = QualifiedGuardName(at_.mode, guard);
+      if (!functions_.IsSwitch(at_.mode, guard)) {
+        Remark(its_name + " has an event at the final time");
+      } else if (FlowJumpsAt(StepFrom(0), guard)) {
+        Remark(its_name + ", at which the flow jumps, is zero at the final time");
+      }
+    }
     coincidence.jump = -1;
   } else if (coincidence.jump > 0 && (coincidence.remark.empty() || AreGuardAndItsSwitches(coincidence.guards))) {
     coincidence.tie = -1;
@@ -1126,10 +1176,8 @@ bool RolloutRun::TakeEvent(const PendingEvent& due, const FlowStep& step) {
   tape_.coincidences.push_back(std::move(coincidence));
   const int mode = at_.mode, first_switch = system_.num_guards(mode) - functions_.num_switches(mode);
   const std::vector<char> were_armed = turns ? at_.armed : std::vector<char>();
-  const std::vector<double> slope = turns ? at_.slope : std::vector<double>();
   if (!ApplyReset(first, false, false) || !EnterMode(Entry::kAfterReset)) return false;
   if (turns && events_.size() == events + 1) {
-    if (at_end && JumpsFrom(slope)) Remark(name + ", at which the flow jumps, is zero at the final time");
     // Guards that a switch leaves at zero: they touch it, and do not fall through.
     for (int guard = 0; guard < first_switch; ++guard) {
       if (were_armed[guard] && !at_.armed[guard]) grazings_.push_back({at_.t, mode, guard});

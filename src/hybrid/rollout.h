@@ -120,6 +120,9 @@ class RolloutRun {
   bool TakeEvent(const PendingEvent& due, const FlowStep& step);
   bool IsSecondSwitch(int other) const;
   bool Passes(int falling, int next) const;
+  bool GuardsChangeWith(int guard) const;
+  int NumberIn(int to, int from, int guard) const;
+  bool WaitsBehindJump(int before, int guard) const;
   bool AreParallel(const ModePoint& a, int guard_a, const ModePoint& b, int guard_b) const;
   bool IsItsSwitch(int guard, int its_switch) const;
   std::vector<int> TiedGuards(const PendingEvent& due, int* first);

@@ -367,6 +367,8 @@ class HybridConditions {
   int num_all() const { return num_events() + static_cast<int>(constraints_.size()); }
   int num_multipliers() const { return num_all() - static_cast<int>(of_interval_.size()); }
   int width() const { return system_.num_controls(); }
+  // Whether derivatives by the parameters are read.
+  bool by_parameters() const { return !problem_.free.parameters.empty() || options_.parameters != nullptr; }
   const double* ControlOf(int interval) const { return input_.control.data() + interval * width(); }
 
   void Name(int mode, int guard, ImpactCertificate* impact) const {
@@ -579,7 +581,7 @@ class HybridConditions {
       const double *u = ControlOf(step.interval), *p = input_.parameters.data();
       integrator_.Step({{mode, before.begin, before.state.data(), u, p}, before.end - before.begin, step.projects},
                        step.state.data());
-      const ModePoint at{mode, step.begin, step.state.data(), u, p};
+      const ModePoint at{mode, step.begin, step.state.data(), u, p, by_parameters()};
       step.by = integrator_.Jacobian({at, step.end - step.begin, step.projects});
       steps_.push_back(std::move(step));
     }
@@ -591,7 +593,7 @@ class HybridConditions {
     const bool to_event = i + 1 < simulator().num_steps() && simulator().IsReset(i + 1);
     Step step{mode, interval, phase, functions_.Projects(mode) && !to_event, begin, end, VectorXd(n), {}};
     std::copy_n(simulator().StepState(i).data(), n, step.state.data());
-    const ModePoint at{mode, begin, step.state.data(), ControlOf(interval), input_.parameters.data()};
+    const ModePoint at{mode, begin, step.state.data(), ControlOf(interval), input_.parameters.data(), by_parameters()};
     step.by = integrator_.Jacobian({at, end - begin, step.projects});
     return step;
   }
@@ -1106,13 +1108,14 @@ class HybridConditions {
   }
 
   // Returns the second derivative by central differences of a gradient; that between the numbers before `first` is
-  // zero.
+  // zero. Numbers that change `along` no unknown have no derivatives.
   template <typename Gradient>
-  static Eigen::MatrixXd SecondDerivative(const VectorXd& at, const VectorXd& sizes, const Gradient& gradient,
-                                          Eigen::Index first = 0) {
+  static Eigen::MatrixXd SecondDerivative(const VectorXd& at, const VectorXd& sizes, const SparseRows& along,
+                                          const Gradient& gradient, Eigen::Index first = 0) {
     constexpr double kWidth = 1e-5;
     Eigen::MatrixXd second = Eigen::MatrixXd::Zero(at.size(), at.size());
     for (Eigen::Index i = first; i < at.size(); ++i) {
+      if (along[i].empty()) continue;
       const double width = kWidth * (sizes[i] > 0 ? sizes[i] : 1.0);
       VectorXd moved = at;
       moved[i] = at[i] + width;
@@ -1404,11 +1407,12 @@ class HybridConditions {
       form->Add(SecondDerivative(
                     at,
                     sizes,
+                    along,
                     [&](const VectorXd& y) {
                       VectorXd gradient = VectorXd::Zero(size);
                       double* g = gradient.data();
                       StepCotangent by{g, 0, 0, g + n + 1, g + n + 1 + P};
-                      const ModePoint begin{step.mode, y[n], y.data(), &y[n] + 1 + P, &y[n] + 1};
+                      const ModePoint begin{step.mode, y[n], y.data(), &y[n] + 1 + P, &y[n] + 1, by_parameters()};
                       integrator.PullBack({begin, y[size - 1], step.projects}, costate.data(), &by);
                       gradient[n] = by.t;
                       gradient[size - 1] = by.h;
@@ -1451,6 +1455,7 @@ class HybridConditions {
     along.insert(along.end(), to.control.begin() + before * width(), to.control.begin() + before * width() + m);
     form->Add(SecondDerivative(at,
                                sizes,
+                               along,
                                [&](const VectorXd& y) {
                                  linearize(y);
                                  find_guard(y);
@@ -1528,7 +1533,7 @@ class HybridConditions {
         }
         return out;
       };
-      const Eigen::MatrixXd second = SecondDerivative(values, sizes, gradient);
+      const Eigen::MatrixXd second = SecondDerivative(values, sizes, along, gradient);
       form->Add(second, along);
       // A convex inequality of the control alone is measured with the costs of the control.
       if (term.role == HybridTerm::Role::kInequality && ReadsControlAlone(term) && EigenOf(second).values[0] >= 0) {

@@ -49,6 +49,33 @@ BroadPhase NearPairs(const Simulator& simulator, std::span<const double> control
   return near;
 }
 
+// Whether the gap of discs that have no contact in a step may be zero where it is least within the step, or at its
+// beginning or end. Relative motion differs by at most a part of its change of velocity from a straight one.
+bool MayGraze(const Simulator& simulator, const Candidate& pair, std::span<const WallPart> walls,
+              const std::vector<double>& begin, const std::vector<double>& end) {
+  constexpr double kMoreThanReach = 1e-3;  // of the radii
+  const std::vector<Body>& bodies = simulator.scene().bodies;
+  const int a = simulator.body_size() * pair.a, b = simulator.body_size() * pair.b;
+  const double radius = bodies[pair.a].radius;
+  const auto of_a = [&](const std::vector<double>& x, int from) { return Vec2d(x[a + from], x[a + from + 1]); };
+  if (pair.plane) {
+    const WallPart& part = walls[pair.b];
+    const double reach = part.pocket ? kMoreThanReach * radius : (1 + kMoreThanReach) * radius;
+    const auto from = Separate<double>(of_a(begin, 0), part.wall), to = Separate<double>(of_a(end, 0), part.wall);
+    if (from.distance <= reach || to.distance <= reach) return true;
+    return Dot(from.normal, of_a(begin, 2)) < 0 && Dot(to.normal, of_a(end, 2)) >= 0;
+  }
+  const auto offset = [&](const std::vector<double>& x, int from) {
+    return Vec2d(of_a(x, from) - Vec2d(x[b + from], x[b + from + 1]));
+  };
+  const Vec2d from = offset(begin, 0), to = offset(end, 0), v = offset(begin, 2), after = offset(end, 2);
+  const double reach = (1 + kMoreThanReach) * (radius + bodies[pair.b].radius);
+  if (from.squaredNorm() <= reach * reach || to.squaredNorm() <= reach * reach) return true;
+  if (Dot(from, v) >= 0 || Dot(to, after) < 0) return false;
+  const double along = Dot(from, v), off = 0.5 * (after - v).norm() * simulator.step();
+  return from.squaredNorm() - along * along / v.squaredNorm() <= (reach + off) * (reach + off);
+}
+
 // Calls add(k, pair, time in step k) for the pairs that come within rounding of each other and do not touch.
 template <typename Add>
 void AddLeastGaps(const Simulator& simulator, std::span<const double> control, const std::vector<WallPart>& walls,
@@ -58,36 +85,53 @@ void AddLeastGaps(const Simulator& simulator, std::span<const double> control, c
   std::vector<double> force(simulator.force_size());
   std::vector<Candidate> candidates, falling, falling_before;
   std::vector<Touch> now;
+  std::vector<char> meets(simulator.scene().bodies.size());
+  std::vector<IntervalGaps::Stretch> stretches;
   auto touch = simulator.touches().begin();
   FlightState begin{0, std::vector<double>(simulator.state_size())}, end{h, begin.x};
-  for (int k = 0, next = 0; k < simulator.num_steps(); k = next) {
-    simulator.GetState(k, begin.x);
+  for (int k = 0, next = 0, last = -1; k < simulator.num_steps(); k = next) {  // last: the node of the state `end`
+    if (k == last) {
+      begin.x.swap(end.x);
+    } else {
+      simulator.GetState(k, begin.x);
+    }
     next = k + near.Find(begin.x.data(), simulator.body_size(), &candidates);
     falling_before.swap(falling);
     falling.clear();
     if (candidates.empty()) continue;
     simulator.GetState(k + 1, end.x);
-    simulator.ExpandForce(control, k, force);
+    last = k + 1;
     now.clear();
+    std::fill(meets.begin(), meets.end(), 0);
     while (touch != simulator.touches().end() && touch->step < k) ++touch;
-    for (; touch != simulator.touches().end() && touch->step == k; ++touch) now.push_back(touch->touch);
+    for (; touch != simulator.touches().end() && touch->step == k; ++touch) {
+      now.push_back(touch->touch);
+      const Candidate& c = touch->touch.candidate;
+      meets[c.a] = meets[c.plane ? c.a : c.b] = 1;
+    }
+    std::erase_if(candidates, [&](const Candidate& c) {
+      if (c.plane && walls[c.b].table) return true;
+      return meets[c.a] == 0 && (c.plane || meets[c.b] == 0) && !MayGraze(simulator, c, walls, begin.x, end.x);
+    });
+    if (candidates.empty()) continue;
+    simulator.ExpandForce(control, k, force);
     const IntervalGaps gaps(simulator.scene(), walls, now, force, begin, end);
     for (const Candidate& candidate : candidates) {
       const GapPair pair = gaps.PairOf(candidate);
-      if (IntervalGaps::Touches(now, pair) || (pair.wall != nullptr && pair.wall->table)) continue;
+      if (IntervalGaps::Touches(now, pair)) continue;
       const double touching = gaps.Touching(pair);
-      const auto look = [&](const FlightState& flight, std::optional<double> t) {
-        if (!t || std::abs(gaps.At(flight, pair, *t).value) > touching) return;
-        if (pair.wall != nullptr && !pair.wall->extent.Covers(gaps.Position(flight, pair.a, *t), touching)) return;
+      gaps.FindStretches(pair, &stretches);
+      const auto look = [&](const IntervalGaps::Stretch& stretch, std::optional<double> t) {
+        if (!t || std::abs(gaps.At(stretch, pair, *t).value) > touching) return;
+        if (pair.wall != nullptr && !pair.wall->extent.Covers(gaps.PositionOfA(stretch, pair, *t), touching)) return;
         add(k, pair, *t);
       };
       // The gap of a pair that is least on a node falls until there, and rises from there on.
       const Gap at_node = gaps.At(begin, pair, 0);
       const bool may_graze = at_node.rate >= 0 && at_node.value <= touching;
-      if (may_graze && std::ranges::find(falling_before, candidate) != falling_before.end()) look(begin, 0.0);
-      const double first = gaps.First(pair);
-      look(begin, gaps.LeastBetween(begin, pair, 0, std::min(first, h)));
-      if (first < IntervalGaps::kNever) look(end, gaps.LeastBetween(end, pair, gaps.Last(pair), h));
+      const bool fell = std::ranges::find(falling_before, candidate) != falling_before.end();
+      if (may_graze && fell && !stretches.empty() && stretches.front().from == 0) look(stretches.front(), 0.0);
+      for (const IntervalGaps::Stretch& stretch : stretches) look(stretch, gaps.LeastIn(stretch, pair));
       if (gaps.At(end, pair, h).rate < 0) falling.push_back(candidate);
     }
   }

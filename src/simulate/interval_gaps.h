@@ -2,7 +2,8 @@
 //
 // Between its impacts the acceleration of a disc is constant in an interval. The least gap of a pair that does not
 // touch is where the gap stops falling: at a zero of its rate, at an impact that turns one of the discs aside, or at
-// the end of the interval. Between two impacts of the same disc in an interval gaps are not looked at.
+// the end of the interval. Of a disc that has three or more impacts in an interval, the flights between them are not
+// known, and gaps in them are not looked at.
 #pragma once
 
 #include <array>
@@ -41,7 +42,7 @@ class IntervalGaps {
   static constexpr double kNever = std::numeric_limits<double>::infinity();
 
   // The interval lasts from `begin` to `end`, under `force` (N, two numbers of each disc). Times of `touches` are in s
-  // since the beginning of the interval. Keeps references to scene and walls.
+  // since the beginning of the interval. Keeps references to scene, walls and states.
   IntervalGaps(const Scene& scene, std::span<const WallPart> walls, std::span<const Touch> touches,
                std::span<const double> force, const FlightState& begin, const FlightState& end);
 
@@ -60,11 +61,39 @@ class IntervalGaps {
   // the second.
   std::optional<double> LeastBetween(const FlightState& flight, const GapPair& pair, double from, double to) const;
 
+  // A flight of a disc between two of its impacts, with where it is at a time of it.
+  struct Leg {
+    double from, to, time;
+    Vec2d position, velocity;
+  };
+  // A part of the interval in which neither disc of a pair has an impact.
+  struct Stretch {
+    double from, to;
+    std::array<Leg, 2> legs;  // of a, and of b if that is a disc
+  };
+  // Overwrites `stretches`, in the order of time.
+  void FindStretches(const GapPair& pair, std::vector<Stretch>* stretches) const;
+  Gap At(const Stretch& stretch, const GapPair& pair, double t) const;
+  Vec2d PositionOfA(const Stretch& stretch, const GapPair& pair, double t) const {
+    return PositionIn(stretch.legs[0], pair.a, t);
+  }
+  std::optional<double> LeastIn(const Stretch& stretch, const GapPair& pair) const;
+
  private:
+  // Those of a disc that are known, the first of them before its impacts and the last one behind; returns their number.
+  int FindLegs(int i, std::array<Leg, 3>* legs) const;
+  Vec2d VelocityIn(const Leg& leg, int i, double t) const { return leg.velocity + (t - leg.time) * accelerations_[i]; }
+  Vec2d PositionIn(const Leg& leg, int i, double t) const {
+    const double s = t - leg.time;
+    return leg.position + s * (leg.velocity + 0.5 * s * accelerations_[i]);
+  }
+  Gap GapOf(const GapPair& pair, const Vec2d& at_a, const Vec2d& of_a, const Vec2d& at_b, const Vec2d& of_b) const;
+
   const Scene& scene_;
   const std::span<const WallPart> walls_;
-  std::vector<double> first_, last_;  // impact of each disc
-  std::vector<Vec2d> accelerations_;  // without impacts; where contacts last, with those of their forces
+  const FlightState &begin_, &end_;
+  std::vector<double> first_, second_, last_;  // impact of each disc
+  std::vector<Vec2d> accelerations_;           // without impacts; where contacts last, with those of their forces
 };
 
 }  // namespace saltus

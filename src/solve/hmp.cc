@@ -135,9 +135,9 @@ SolveReport RefineIntervals(Scene scene, SolveReport report) {
   scene.steps = kFineSteps;
   PhaseSolution fine = SolveAlong(scene, sequence, guess, {});
   if (!fine.optimal()) return report;
-  report.solution.loss = fine.trial.exact.loss;
-  report.solution.control = std::move(fine.trial.control);
-  report.solution.durations = std::move(fine.trial.durations);
+  report.solution.loss = fine.attempt.trial.exact.loss;
+  report.solution.control = std::move(fine.attempt.trial.control);
+  report.solution.durations = std::move(fine.attempt.trial.durations);
   return report;
 }
 

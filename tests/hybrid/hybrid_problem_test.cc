@@ -402,6 +402,59 @@ TEST(HybridSolvers, ReportAMotionAndItsLossWheneverTheyAreStopped) {
   }
 }
 
+// Each of three controls is the rate of a state.
+struct Rates {
+  static constexpr int kNumControls = 3, kNumParameters = 0;
+  static constexpr std::array kStateSizes = {3};
+  static constexpr std::array kNumGuards = {0};
+  template <typename T>
+  void Flow(int, const T&, const T*, const T* u, const T*, T* xdot) const {
+    std::copy_n(u, 3, xdot);
+  }
+  template <typename T>
+  T Guard(int, int, const T&, const T* x, const T*) const {
+    return x[0];
+  }
+  template <typename T>
+  int Reset(int, int, const T&, const T* x, const T*, T* x_plus) const {
+    std::copy_n(x, 3, x_plus);
+    return 0;
+  }
+};
+
+// By hand: with the effort w and the weight W of targets at distances c, the best control is constant, and the loss is
+// W w c^2 / (w + W T). A free time of the price d each second is (W sqrt(w c^2 / d) - w) / W. The rows of three numbers
+// do not fill blocks of eight variables.
+TEST(HybridSolvers, CostsOfIntervalsOfThreeControls) {
+  constexpr double kWeight = 2, kPrice = 0.3;
+  constexpr std::array<double, 3> kTargets = {0.5, -1.0, 0.25};
+  const double square = 0.25 + 1 + 0.0625;
+  for (const int intervals : {1, 4, 7, 16}) {
+    for (const bool free_time : {false, true}) {
+      HybridProblem problem{.system = HybridSystem(Rates()),
+                            .guess = {.initial = {0, 0, 0}, .duration = 0.8, .num_intervals = intervals},
+                            .terms = {MakeEffortCost(0.1, 3)}};
+      problem.guess.control.assign(3 * intervals, 0.2);
+      for (int i = 0; i < 3; ++i) problem.terms.push_back(MakeTerminalCost(i, kTargets[i], kWeight, 3));
+      HybridTerm once = MakeEffortCost(0.4, 3);  // in one interval alone
+      once.interval = intervals - 1;
+      problem.free.control = true;
+      double time = 0.8, effort = 0.1;
+      if (free_time) {
+        problem.terms.push_back(MakeDurationCost(kPrice));
+        problem.free.duration = true;
+        time = (kWeight * std::sqrt(effort * square / kPrice) - effort) / kWeight;
+      } else {
+        problem.terms.push_back(once);  // a mean of efforts over time, as forces are in proportion to their inverse
+        effort = intervals / ((intervals - 1) / effort + 1 / (effort + 0.4));
+      }
+      const double loss = kWeight * effort * square / (effort + kWeight * time) + (free_time ? kPrice * time : 0);
+      const SolveReport report = Solve("ceres_lm", problem, {.limits = {.iterations = 300}});
+      EXPECT_NEAR(report.solution.loss, loss, 1e-9) << intervals << free_time << report.reason;
+    }
+  }
+}
+
 // A ball that a force pushes: how fast it strikes the ground each time.
 struct SpeedAtGround {
   template <typename T>

@@ -266,18 +266,36 @@ class Problem {
   // The adjoint against the forward sweep; gaps and speeds of closed contacts.
   void ExpectConsistent() {
     const size_t n = simulator_.final_state().size();
+    const HybridSensitivity without = simulator_.Sensitivity(/*by_parameters=*/false);
     for (size_t i = 0; i < n; ++i) {
       std::vector<double> cotangent(n);
       cotangent[i] = 1;
       const HybridGradient gradient = simulator_.Adjoint(cotangent);
+      HybridCotangent of_others;
+      of_others.final_state = cotangent;
+      of_others.by_parameters = false;
+      const HybridGradient others = simulator_.Adjoint(of_others);
+      EXPECT_THAT(others.parameters, testing::Each(0.0));
+      EXPECT_EQ(others.parameters.size(), gradient.parameters.size());
       std::vector<double> all = gradient.initial;
       all.insert(all.end(), gradient.control.begin(), gradient.control.end());
       all.insert(all.end(), gradient.parameters.begin(), gradient.parameters.end());
       all.push_back(gradient.duration);
       const double* row = &sensitivity_.final_state[i * sensitivity_.columns];
+      const double* row_without = &without.final_state[i * sensitivity_.columns];
       double size = 1e-3;
       for (const double entry : all) size = std::max(size, std::abs(entry));
-      for (size_t j = 0; j < all.size(); ++j) EXPECT_NEAR(all[j], row[j], 1e-10 * size) << i << " by column " << j;
+      const size_t first = gradient.initial.size() + gradient.control.size();
+      for (size_t j = 0; j < all.size(); ++j) {
+        EXPECT_NEAR(all[j], row[j], 1e-10 * size) << i << " by column " << j;
+        const bool of_parameter = j >= first && j < first + gradient.parameters.size();
+        EXPECT_NEAR(row_without[j], of_parameter ? 0.0 : row[j], 1e-12 * size) << i << " by column " << j;
+      }
+      for (size_t j = 0; j < first; ++j) {
+        const double other = j < others.initial.size() ? others.initial[j] : others.control[j - others.initial.size()];
+        EXPECT_NEAR(other, all[j], 1e-12 * size) << i << " by column " << j;
+      }
+      EXPECT_NEAR(others.duration, gradient.duration, 1e-12 * size);
     }
   }
 

@@ -160,7 +160,7 @@ Trial StraightBack(const Scene& scene) {
   const ContactSequence& sequence = guess.exact.contacts;
   const PhaseSolution solution = SolveAlong(scene, sequence, GuessFrom(scene, FlightOf(scene, guess), sequence), {});
   EXPECT_TRUE(solution.optimal());
-  return solution.trial;
+  return solution.attempt.trial;
 }
 
 // The loss with the control moved along a direction, and the node that had the impact moved to where that is now.

@@ -119,6 +119,7 @@ struct HybridCotangent {
   std::vector<std::vector<double>> nodes;          // K: by the state at the beginning of each control interval
   std::vector<std::vector<double>> before, after;  // by the states before and after each event of events()
   std::vector<double> event_times;                 // by the time of each event
+  bool by_parameters = true;                       // whether the derivatives by the parameters are wanted, or are zero
 };
 
 // The derivatives of states and events; row-major, D = n0 + K m + P + 1 columns [initial control parameters
@@ -208,9 +209,9 @@ class HybridSimulator {
   // Returns the gradient of a function of the final state with this cotangent.
   HybridGradient Adjoint(std::span<const double> final_cotangent);
 
-  // Returns all derivatives of the last motion, by forward sweeps, at about D times the cost of a rollout.
-  // Precondition: the rollout succeeded.
-  HybridSensitivity Sensitivity();
+  // Returns all derivatives of the last motion, by forward sweeps, at about D times the cost of a rollout. Those by the
+  // parameters are zero unless `by_parameters`. Precondition: the rollout succeeded.
+  HybridSensitivity Sensitivity(bool by_parameters = true);
   // Returns the derivatives over each control interval. Their columns are [state at its beginning, its control],
   // final_state is that at its end, and `after` and `times` are those of its events. The first interval has the events
   // at the start, too. There are no nodes.

@@ -235,6 +235,10 @@ class HybridFunctions {
   virtual int AdjacentPiece(const ModePoint& /*at*/, int /*guard*/, Side /*side*/) const { return -1; }
   // Whether a mode is the piece on zero of a switch, whose value stays zero there.
   virtual bool IsOn(int /*mode*/, int /*guard*/) const { return false; }
+  // Returns the numbers, as text, that conditions of a mode's functions compare with zero and that are zero at a point,
+  // if they depend on the parameters and the control alone, so that no motion changes them: the functions may have
+  // kinks or jumps there.
+  virtual std::vector<std::string> UndecidedConditions(const ModePoint& /*at*/) const { return {}; }
   // Returns the largest number of guards of any mode.
   virtual int most_guards() const { return *std::max_element(layout_.num_guards.begin(), layout_.num_guards.end()); }
 

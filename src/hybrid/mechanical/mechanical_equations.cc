@@ -35,9 +35,20 @@ std::vector<TimeJet<S>> Constant(int n, const S* p) {
   return path;
 }
 
-// The solution for each column, in place.
+// The solution for each column, in place. Few rows have fewer solutions for unit vectors than there are columns.
 void SolveColumns(const BlockSolver& solver, Block* right) {
-  Eigen::VectorXd column(right->rows());
+  const Eigen::Index rows = right->rows();
+  Eigen::VectorXd column(rows);
+  if (rows < MechanicalEquations::kWidth / 2 && right->allFinite()) {
+    Eigen::MatrixXd inverse(rows, rows);
+    for (Eigen::Index j = 0; j < rows; ++j) {
+      column = Eigen::VectorXd::Unit(rows, j);
+      solver.Solve(column, column);
+      inverse.col(j) = column;
+    }
+    *right = inverse.lazyProduct(*right).eval();
+    return;
+  }
   for (int j = 0; j < right->cols(); ++j) {
     column = right->col(j);
     if ((column.array() == 0).all()) continue;
@@ -112,11 +123,14 @@ MechanicalEquations::TimePath<Jet> MechanicalEquations::Still(const Seeds& seeds
 
 // Derivatives that are not numbers reach all that depends on them, whatever the values are.
 bool MechanicalEquations::MassVaries(const Point& at) const {
+  if (mass_varies_) return true;
   Jets q(at.q, at.q + n_), p(at.p, at.p + num_p_), mass(static_cast<std::size_t>(n_) * n_);
   for (Jet& jet : q) jet.v[0] = std::numeric_limits<double>::quiet_NaN();
   for (Jet& jet : p) jet.v[0] = std::numeric_limits<double>::quiet_NaN();
   f_.Mass(q.data(), p.data(), mass.data());
-  return std::any_of(mass.begin(), mass.end(), [](const Jet& entry) { return std::isnan(entry.v[0]); });
+  const bool varies = std::ranges::any_of(mass, [](const Jet& entry) { return std::isnan(entry.v[0]); });
+  if (varies) mass_varies_ = true;
+  return varies;
 }
 
 std::vector<int> MechanicalEquations::ReadsOf(int contact, const Point& at) const {

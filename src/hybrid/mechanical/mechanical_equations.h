@@ -9,6 +9,7 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
+#include <atomic>
 #include <deque>
 #include <mutex>
 #include <optional>
@@ -182,7 +183,7 @@ class MechanicalEquations {
 
  private:
   System NewSystem(const std::vector<ClosedContact>& closed, const Point& at, bool for_derivatives) const;
-  // Whether M depends on q or p.
+  // Whether the mass matrix depends on coordinates or parameters, at this point or one that was asked for before.
   bool MassVaries(const Point& at) const;
   // Returns the coordinates and parameters that the rows of a contact depend on, as indices in [q p].
   std::vector<int> ReadsOf(int contact, const Point& at) const;
@@ -222,6 +223,7 @@ class MechanicalEquations {
     bool for_derivatives;
     System system;
   };
+  mutable std::atomic<bool> mass_varies_ = false;
   mutable std::mutex mutex_;
   mutable std::deque<Kept> kept_;  // under mutex_
 };

@@ -5,36 +5,30 @@
 
 namespace saltus {
 
+void PolishByTranscription(PhaseRun* run, const PhasePlan& plan, const std::vector<int>& intervals,
+                           const ContinuePredicate& may_continue, PlanAttempt* attempt) {
+  if (!attempt->converged || !attempt->realized || !run->IsRefuted(attempt->trial)) return;
+  const PlanStart found{{attempt->times.begin(), attempt->times.end() - 1}, attempt->trial};
+  PlanAttempt last = TryByTranscription(run, plan, found, may_continue, intervals);
+  if (last.feasible() && last.converged) *attempt = std::move(last);
+}
+
 PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& start,
                       const ContinuePredicate& may_continue) {
   if (plan.HasTies() || plan.HasRegimes() || !plan.apart.empty())
     return TryByTranscription(run, plan, start, may_continue);
-  PlanAttempt attempt;
-  if (!start.trial.exact.ok || !start.trial.exact.only_impacts) return attempt;
+  if (!start.trial.exact.ok || !start.trial.exact.only_impacts) return {};
   const Scene& scene = run->scene();
   PhaseMinimumOptions options;
   options.callback = [&](double loss) { return run->Record(loss); };
   options.iterations = run->iterations_left();
   const ContactSequence sequence = plan.Sequence();
-  PhaseSolution solution =
-      SolveAlong(scene, sequence, GuessFrom(scene, FlightOf(scene, start.trial), sequence), options);
-  attempt.jacobians = solution.minimum.jacobians;
-  attempt.interrupted = solution.minimum.interrupted;
-  if (!solution.valid) return attempt;
-  attempt.valid = true;
-  attempt.times = solution.times;
-  attempt.speeds = solution.speeds;
-  attempt.converged = solution.minimum.converged;
-  attempt.trial = std::move(solution.trial);
-  attempt.realized = solution.realized;
+  const PhaseGuess guess = GuessFrom(scene, FlightOf(scene, start.trial), sequence);
+  PhaseSolution solution = SolveAlong(scene, sequence, guess, options);
+  PlanAttempt& attempt = solution.attempt;
+  if (!attempt.valid) return attempt;
   FollowEvents(DiscMotions(scene), plan, solution.intervals, &attempt);
-  // Where many impacts leave the variables of arcs ill conditioned, the last digits are the transcription's.
-  if (attempt.converged && attempt.realized &&
-      run->Certify(attempt.trial).verdict == Certificate::Verdict::kNotStationary) {
-    PlanStart found{{attempt.times.begin(), attempt.times.end() - 1}, attempt.trial};
-    PlanAttempt last = TryByTranscription(run, plan, found, may_continue);
-    if (last.feasible() && last.converged) attempt = std::move(last);
-  }
+  PolishByTranscription(run, plan, solution.intervals, may_continue, &attempt);
   return attempt;
 }
 

@@ -28,6 +28,11 @@ SolveReport SolveByCeresEvent(const SolveRequest& request, const SolverOptions& 
 PlanAttempt TryByArcs(PhaseRun* run, const PhasePlan& plan, const PlanStart& start,
                       const ContinuePredicate& may_continue);
 
+// Takes the last steps to an optimum that a certificate refutes by the transcription, with as many intervals in each
+// phase: many impacts leave the variables of arcs ill conditioned.
+void PolishByTranscription(PhaseRun* run, const PhasePlan& plan, const std::vector<int>& intervals,
+                           const ContinuePredicate& may_continue, PlanAttempt* attempt);
+
 // All of it from the motion of `run`.
 SolveReport UpdateByArcs(PhaseRun* run);
 

@@ -80,7 +80,7 @@ PlanAttempt TryBySteps(PhaseRun* run, bool arcs_can, const PhasePlan& plan, cons
     return attempt;
   }
   if (attempt.converged) {
-    if (run->Certify(attempt.trial).verdict != Certificate::Verdict::kNotStationary) return attempt;
+    if (!run->IsRefuted(attempt.trial)) return attempt;
   } else if (HasFriction(run->scene())) {
     return attempt;  // perhaps at a kink between slip and stick, which mending looks at from both sides
   }

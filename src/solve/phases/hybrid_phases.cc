@@ -815,22 +815,26 @@ SolveReport SolveHybrid(std::string_view solver, Algorithm algorithm, const Hybr
 
 // Solves on the intervals asked for; if that ends without an optimum, from coarse to fine: the optimum of a coarse grid
 // may share the intervals among the phases in another way, and an interior-point method gains nothing from a near
-// start.
+// start. Newton's iterations of an interior-point method end soon or go astray: most are left to the coarse grids.
 SolveReport SolveDirectlyFirst(std::string_view solver, Algorithm algorithm, const HybridProblem& problem,
                                const SolverOptions& options) {
   if (!options.sequences.given) {
     if (std::optional<SolveReport> report = RecogniseGuess(solver, problem, options)) return *report;
   }
+  const bool has_coarse = GridsOf(problem, options).size() > 1;
   SolverOptions directly = options;
   directly.coarse_to_fine = false;
+  if (has_coarse && algorithm == Algorithm::kInteriorPoint) {
+    directly.limits.iterations = (options.limits.iterations + 2) / 3;
+  }
   SolveChain chain(options);
   SolveReport report = SolveHybrid(solver, algorithm, problem, directly);
-  const bool ended = report.termination != Termination::kNoProgress && report.termination != Termination::kFailed;
+  const bool ended = report.termination == Termination::kConverged || report.termination == Termination::kInterrupted;
   chain.Add(report);
-  if (ended || chain.IsOutOfIterations() || GridsOf(problem, options).size() == 1) return report;
+  if (ended || chain.IsOutOfIterations() || !has_coarse) return report;
   SolveReport refined = SolveHybrid(solver, algorithm, problem, chain.Next());
   chain.Add(refined);
-  const bool takes = refined.termination == Termination::kConverged || refined.termination == Termination::kInterrupted;
+  const bool takes = refined.termination == Termination::kInterrupted || EndsBetter(refined, report);
   return chain.Finish(takes ? std::move(refined) : std::move(report));
 }
 

@@ -146,13 +146,19 @@ class TranscribedPlan {
   using PlanStart = PlanStartOf<typename Run::Motion>;
   using PlanAttempt = PlanAttemptOf<typename Run::Motion>;
 
-  TranscribedPlan(Run* run, const PhasePlan& plan, const PlanStart& start)
-      : run_(*run), plan_(plan), transcriber_(*run, plan, start), start_(start) {
+  TranscribedPlan(Run* run, const PhasePlan& plan, const PlanStart& start, std::vector<int> steps)
+      : run_(*run),
+        plan_(plan),
+        transcriber_(*run, plan, start),
+        start_(start),
+        steps_(std::move(steps)),
+        are_given_(!steps_.empty()) {
     std::vector<double> ends = start.times;
     ends.push_back(transcriber_.duration());
     empty_ = {false};
     empty_.insert(empty_.end(), plan.tied.begin(), plan.tied.end());
     const auto phases = std::count(empty_.begin(), empty_.end(), false);
+    if (are_given_) return;
     if (plan.on_grid) {
       for (const bool is_empty : empty_) steps_.push_back(is_empty ? 0 : 1);
     } else if (phases <= run_.num_steps()) {
@@ -167,7 +173,7 @@ class TranscribedPlan {
       const bool tied = plan_.HasTies();
       if (tied && margin == 0) continue;
       if (!Solve(margin, may_continue, &attempt)) return attempt;
-      if (attempt.converged && !plan_.on_grid && IsUneven(attempt.times)) {
+      if (attempt.converged && !plan_.on_grid && !are_given_ && IsUneven(attempt.times)) {
         steps_ = ShareSteps(run_.num_steps(), attempt.times, empty_);
         ContinueFrom(attempt);
         if (!Solve(margin, may_continue, &attempt)) return attempt;
@@ -258,14 +264,17 @@ class TranscribedPlan {
   PlanStart start_;
   std::vector<bool> empty_;  // by phase: without steps
   std::vector<int> steps_;   // of each phase; none if there are too few
+  const bool are_given_;     // the steps
   bool crosses_ = false;     // the last motion, a guard that stays at zero along the plan
 };
 
+// With so many steps in each phase, or with those that suit the lengths of the phases.
 template <typename Run>
 PlanAttemptOf<typename Run::Motion> TryByTranscription(Run* run, const PlanOf<typename Run::Event>& plan,
                                                        const PlanStartOf<typename Run::Motion>& start,
-                                                       const ContinuePredicate& may_continue) {
-  return TranscribedPlan<Run>(run, plan, start).Try(may_continue);
+                                                       const ContinuePredicate& may_continue,
+                                                       std::vector<int> steps = {}) {
+  return TranscribedPlan<Run>(run, plan, start, std::move(steps)).Try(may_continue);
 }
 
 }  // namespace saltus

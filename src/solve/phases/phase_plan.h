@@ -174,6 +174,13 @@ inline std::string DescribeSaddle(const std::string& then) {
 // ----------------------------------------------------------------------------------------------- merit of real motions
 
 inline constexpr double kHardlyBetter = 1e-9;  // relative, of losses
+inline constexpr double kSameOptimum = 1e-6;   // relative, between losses along one sequence
+
+// Whether a loss is one of several optima's.
+inline bool HasSameLoss(const std::vector<double>& losses, double loss) {
+  return std::ranges::any_of(losses,
+                             [&](double other) { return std::abs(other - loss) <= kSameOptimum * std::abs(loss); });
+}
 
 // Line search from a motion towards another one whose control is known: the best motion met that counts, if its merit
 // is below that of the first.

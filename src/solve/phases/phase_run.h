@@ -91,6 +91,10 @@ class PhaseRun final : public SequenceRun, private DiscMotions {
 
   // Whether the conditions of the certificate are those of this problem.
   bool HasCertificate() const;
+  // Whether an optimum is certified, and its certificate says that it is none.
+  bool IsRefuted(const Trial& optimum) {
+    return certifies() && Certify(optimum).verdict == Certificate::Verdict::kNotStationary;
+  }
   // The certificate of the last control is kept: an optimum is certified by its solve, for saddles, and in the end.
   const Certificate& Certify(const Trial& trial);
   // Directions have the shape of the control.

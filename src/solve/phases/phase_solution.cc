@@ -80,33 +80,36 @@ bool SolveOn(const Scene& scene, const std::vector<int>& intervals, const PhaseG
              const PhaseMinimumOptions& options, double loss_change, PhaseSolution* solution) {
   const EventPhases phases(scene, solution->sequence, intervals);
   PhaseMinimum& minimum = solution->minimum;
-  const int jacobians_before = minimum.jacobians;
+  PlanAttemptOf<Trial>& attempt = solution->attempt;
   std::vector<double> z = guess != nullptr ? phases.Variables(guess->times, guess->before, guess->end) : minimum.z;
   minimum = MinimizeLoss(phases, std::move(z), options);
   if (minimum.valid && !minimum.interrupted && !minimum.touches && !(phases.num_gaps() == 0 && minimum.converged)) {
     minimum.converged = false;
     Polish(phases, loss_change, &minimum);
   }
-  minimum.jacobians += jacobians_before;
+  attempt.jacobians += minimum.jacobians;
+  attempt.interrupted = minimum.interrupted;
+  attempt.converged = minimum.converged;
   Path<double> path;
   if (!minimum.valid || !phases.Unroll(minimum.z.data(), &path)) return false;
-  solution->times.clear();
-  solution->speeds.clear();
+  attempt.times.clear();
+  attempt.speeds.clear();
   for (const PhaseImpact<double>& impact : path.impacts) {
-    solution->times.push_back(impact.time);
-    solution->speeds.push_back(impact.impact.speed);
+    attempt.times.push_back(impact.time);
+    attempt.speeds.push_back(impact.impact.speed);
   }
-  solution->times.push_back(scene.duration);
+  attempt.times.push_back(scene.duration);
   solution->intervals = intervals;
-  phases.Control(path, &solution->trial.control, &solution->trial.durations);
+  phases.Control(path, &attempt.trial.control, &attempt.trial.durations);
   return true;
 }
 
 void SimulateSolution(const Scene& scene, PhaseSolution* solution) {
-  solution->valid = true;
-  Simulate(scene, &solution->trial);
-  const std::vector<double> impacts(solution->times.begin(), solution->times.end() - 1);
-  solution->realized = HasEvents(solution->trial.exact, solution->sequence, impacts, scene.duration);
+  PlanAttemptOf<Trial>& attempt = solution->attempt;
+  attempt.valid = true;
+  Simulate(scene, &attempt.trial);
+  const std::vector<double> impacts(attempt.times.begin(), attempt.times.end() - 1);
+  attempt.realized = HasEvents(attempt.trial.exact, solution->sequence, impacts, scene.duration);
 }
 
 }  // namespace
@@ -271,7 +274,7 @@ PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, co
   for (int round = 0; round < 2; ++round) {
     if (intervals.empty()) return solution;
     if (!SolveOn(scene, intervals, round == 0 ? &guess : nullptr, options, loss_change, &solution)) return solution;
-    const std::span<const double> impacts(solution.times.data(), sequence.size());
+    const std::span<const double> impacts(solution.attempt.times.data(), sequence.size());
     std::vector<int> better = DistributeIntervals(scene, sequence, impacts);
     if (!solution.minimum.converged || solution.minimum.touches || better == intervals) break;
     intervals = std::move(better);
@@ -294,15 +297,16 @@ PhaseSolution ShareBetter(const Scene& scene, PhaseSolution best, const PhaseMin
           if (to < 0 || to >= phases || intervals[from] <= moved + 1 || ++tries > kMostTries) continue;
           intervals[from] -= moved;
           intervals[to] += moved;
-          const PhaseGuess guess = GuessFrom(scene, FlightOf(scene, best.trial), best.sequence);
+          const PhaseGuess guess = GuessFrom(scene, FlightOf(scene, best.attempt.trial), best.sequence);
           PhaseSolution next;
           next.sequence = best.sequence;
           if (!SolveOn(scene, intervals, &guess, options, 1e-2, &next)) continue;
           SimulateSolution(scene, &next);
-          next.minimum.jacobians += best.minimum.jacobians;
-          const bool gains = next.trial.exact.ok && next.trial.exact.loss < (1 - least_gain) * best.trial.exact.loss;
+          next.attempt.jacobians += best.attempt.jacobians;
+          const bool gains = next.attempt.trial.exact.ok &&
+                             next.attempt.trial.exact.loss < (1 - least_gain) * best.attempt.trial.exact.loss;
           if (!gains || (best.optimal() && !next.optimal())) {
-            best.minimum.jacobians = next.minimum.jacobians;
+            best.attempt.jacobians = next.attempt.jacobians;
             continue;
           }
           best = std::move(next);

@@ -11,6 +11,7 @@
 #include "saltus/solve/solver.h"
 #include "simulate/flight.h"
 #include "solve/phases/phase_minimum.h"
+#include "solve/phases/phase_plan.h"
 
 namespace saltus {
 
@@ -61,21 +62,17 @@ PhaseGuess GuessFrom(const Scene& scene, const Flight& flight, const ContactSequ
 // The outcome of a solve along a sequence.
 struct PhaseSolution {
   ContactSequence sequence;
-  bool valid = false;  // all else is filled
   PhaseMinimum minimum;
-  std::vector<int> intervals;  // of each phase
-  std::vector<double> times;   // s, of the impacts as planned, and the final time
-  std::vector<double> speeds;  // normal velocities at the impacts, negative if closing
-  Trial trial;                 // the control found
-  bool realized = false;       // its impacts are those of the sequence and no others
-  bool optimal() const { return valid && minimum.converged && realized; }
+  std::vector<int> intervals;    // of each phase
+  PlanAttemptOf<Trial> attempt;  // along a plan of these impacts: if valid, all else is filled
+  bool optimal() const { return attempt.valid && attempt.converged && attempt.realized; }
 };
 // With piecewise constant forces on Scene::steps intervals. Not valid if there are too few of them, or the guess is of
 // no use. The last steps, to a zero of the costate conditions (hmp.h), may change the loss by the part `loss_change`.
 PhaseSolution SolveAlong(const Scene& scene, const ContactSequence& sequence, const PhaseGuess& guess,
                          const PhaseMinimumOptions& options, double loss_change = 1e-4);
 // Returns the solution with intervals moved from phases to those beside them, as long as that lowers the loss by the
-// part `least_gain` of it. An optimum stays one. Precondition: best is valid, and best.trial.exact.ok.
+// part `least_gain` of it. An optimum stays one. Precondition: best.attempt is valid, and its trial.exact.ok.
 PhaseSolution ShareBetter(const Scene& scene, PhaseSolution best, const PhaseMinimumOptions& options,
                           double least_gain);
 

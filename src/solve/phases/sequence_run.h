@@ -63,6 +63,10 @@ class SequenceRun {
     one_of_many_ = true;
     most_loss_ = most_loss;
   }
+  // Whether optima at which the loss has no kink are certified, and left where their certificate says that they are
+  // none; a search certifies only those that it did not know.
+  bool certifies() const { return certifies_; }
+  void set_certifies(bool certifies) { certifies_ = certifies; }
 
  protected:
   SolveReport Refuse(Termination termination, std::string reason) const;
@@ -75,7 +79,7 @@ class SequenceRun {
 
  private:
   AugmentedLagrangian::Algorithm algorithm_ = AugmentedLagrangian::Algorithm::kLeastSquares;
-  bool one_of_many_ = false;
+  bool one_of_many_ = false, certifies_ = true;
   double most_loss_ = INFINITY;
   std::chrono::steady_clock::time_point start_;
 };

@@ -50,7 +50,6 @@ inline constexpr double kVanished = 1e-3;     // of the horizon: a phase so shor
 inline constexpr double kActive = 1e-6;       // ... or is none, at an optimum
 inline constexpr double kGone = 1e-5;         // ... or no solve brings it back, if it is so short in many iterations
 inline constexpr int kMostVanished = 30;      // iterations, one after the other
-inline constexpr double kSameOptimum = 1e-6;  // relative, of losses along one sequence
 inline constexpr double kOutOfOrder = 1e-9;   // of the horizon
 inline constexpr int kMostKinks = 5;          // left one after the other
 inline constexpr int kDirections = 32;        // of steps from a kink
@@ -394,20 +393,21 @@ class SequenceUpdate {
   // --------------------------------------------------------------------------------------------------------------- end
 
   void LeaveSaddleOfBest() {
-    if (!HasOptimum() || saddles_ >= kMostSaddles) return;
-    if (!run_.HasCertificate()) return;
+    if (!HasOptimum() || saddles_ >= kMostSaddles || !IsToBeCertified()) return;
     const Certificate certificate = run_.Certify(best_->trial);
     if (!certificate.IsSaddle()) return;
     ++saddles_;
     ContinueFrom(run_.SearchBothSides(best_->trial, certificate.curvature->direction));
   }
 
-  // Whether the best optimum is held where the loss has a kink, and no certificate speaks for it.
-  bool IsAtKink() {
-    const bool kinks =
-        best_plan_.HasTies() || best_plan_.HasRegimes() || !best_plan_.apart.empty() || !best_->borders.empty();
-    return kinks && !(run_.HasCertificate() && run_.Certify(best_->trial).IsStationary());
+  bool IsHeld() const {
+    return best_plan_.HasTies() || best_plan_.HasRegimes() || !best_plan_.apart.empty() || !best_->borders.empty();
   }
+
+  bool IsToBeCertified() const { return run_.HasCertificate() && (run_.certifies() || IsHeld()); }
+
+  // Whether the best optimum is held where the loss has a kink, and no certificate speaks for it.
+  bool IsAtKink() { return IsHeld() && !(run_.HasCertificate() && run_.Certify(best_->trial).IsStationary()); }
 
   void LeaveKinkOfBest() {
     if (!HasOptimum() || kinks_ >= mending::kMostKinks || !IsAtKink()) return;
@@ -453,7 +453,7 @@ class SequenceUpdate {
 
   // Where the loss falls as an event leaves the end of its interval, solves go on with the intervals as they are.
   void LeaveNodesOfBest() {
-    if (!HasOptimum() || best_plan_.on_grid || !run_.HasCertificate()) return;
+    if (!HasOptimum() || best_plan_.on_grid || !IsToBeCertified()) return;
     idle_ = 0;
     for (auto& [plan, times] : run_.PlansOnGrid(best_->trial)) {
       Add({std::move(plan), {std::move(times), best_->trial}});
@@ -510,7 +510,7 @@ class SequenceUpdate {
   bool EndsWithBest() const {
     if (!HasOptimum()) return false;
     const bool same_sequence = lowest_.exact.contacts == best_->trial.exact.contacts;
-    const double same = (same_sequence ? mending::kSameOptimum : kHardlyBetter) * std::abs(best_->loss());
+    const double same = (same_sequence ? kSameOptimum : kHardlyBetter) * std::abs(best_->loss());
     return !(Merit(lowest_) < best_->loss() - same);
   }
 
@@ -598,7 +598,7 @@ class SequenceUpdate {
 
   // Beside the conditions of events at different times in between, whose gaps close: where the loss has a kink.
   void Certify() {
-    if (!run_.HasCertificate()) return;
+    if (!IsToBeCertified()) return;
     Certificate certificate = run_.Certify(best_->trial);
     if (IsAtKink()) {
       certificate = {};

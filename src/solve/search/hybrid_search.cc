@@ -123,6 +123,7 @@ class HybridSearch {
       }
       HybridPhaseRun run("mode_search", at, own, from, search_start.sequence);
       if (!search_start.is_guess) run.set_one_of_many(most_loss);
+      run.set_certifies(search_start.certifies);
       if (auto refused = run.StartFailure()) return *refused;
       SolveReport report = UpdateHybridSequence(&run);
       // The start of the user and the best motion are worth a solve with second derivatives, where one without them
@@ -179,7 +180,7 @@ class HybridSearch {
   bool starts_are_cheap() const { return false; }
   double long_work() const { return INFINITY; }
   bool descends_from_guess() const { return false; }
-  bool shares_intervals() const { return false; }
+  bool by_arcs() const { return false; }
   double lowest_loss() const { return 0; }
   double LowestAlong(const Sequence&) const { return 0; }
   bool AllCostsAreSquares() const {

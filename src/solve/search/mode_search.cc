@@ -194,6 +194,7 @@ class DiscSearch {
       return finding;
     }
     if (by_arcs() && start.shooting != Shooting::kNone && !start.is_guess) run.set_one_of_many(most_loss);
+    run.set_certifies(start.certifies || start.effort == Start::Effort::kShare);
     const TryPlan solve_plan = [&](const PhasePlan& plan, const PlanStart& at, const ContinuePredicate& may_continue) {
       const bool arcs = by_arcs() && !plan.HasTies() && !plan.HasRegimes() && plan.apart.empty();
       PlanAttempt attempt = TryByArcs(&run, plan, at, may_continue);
@@ -256,6 +257,7 @@ class DiscSearch {
     return report.work.evaluations;
   }
 
+  bool by_arcs() const { return bound_.has_value(); }
   double WorkByRollout() const { return saltus::WorkByRollout(scene_); }
   double WorkOf(const Trial& from, const Start& start) const {
     if (!by_arcs() || start.effort == Start::Effort::kThorough) return WorkBySteps(scene_);
@@ -269,7 +271,6 @@ class DiscSearch {
   bool starts_are_cheap() const { return true; }
   double long_work() const { return by_arcs() ? sequence_search::kLongWork : INFINITY; }
   bool descends_from_guess() const { return by_arcs(); }
-  bool shares_intervals() const { return by_arcs(); }
   double lowest_loss() const { return by_arcs() ? bound_->lowest() : 0; }
   double LowestAlong(const ContactSequence& sequence) const {
     return by_arcs() ? bound_->BoundAlongSequence(sequence) : 0;
@@ -283,9 +284,6 @@ class DiscSearch {
   }
 
  private:
-  // Whether closed arcs take the problem.
-  bool by_arcs() const { return bound_.has_value(); }
-
   // Solves along the sequence of the motion that a run begins with, with intervals moved between its phases.
   SolveReport Share(PhaseRun* run) const {
     const Trial& from = run->guess();
@@ -295,17 +293,26 @@ class DiscSearch {
     options.callback = [stop = run->options().monitor.stop](double) { return !stop || !stop(); };
     PhaseSolution shared =
         SolveAlong(scene_, sequence, GuessFrom(scene_, FlightOf(scene_, from), sequence), options, kLossChange);
-    const auto is_motion = [&] { return shared.valid && shared.trial.exact.ok; };
+    const auto is_motion = [&] { return shared.attempt.valid && shared.attempt.trial.exact.ok; };
     if (is_motion()) shared = ShareBetter(scene_, std::move(shared), options, kShareGain);
-    run->report().work.evaluations = shared.minimum.jacobians;
-    if (!is_motion()) return run->Finish(from, from.exact.loss, Termination::kNoProgress);
-    const Certificate& certificate = run->Certify(shared.trial);
-    run->report().certificate = certificate;
-    const bool is_optimum = shared.optimal() && certificate.verdict != Certificate::Verdict::kNotStationary;
-    return run->Finish(shared.trial,
-                       shared.trial.exact.loss,
-                       is_optimum ? Termination::kConverged : Termination::kNoProgress,
-                       ReasonNotOptimal(scene_, sequence, shared.minimum.touches, shared.trial.exact));
+    PhasePlan plan;
+    plan.cuts.assign(sequence.begin(), sequence.end());
+    plan.tied.resize(sequence.size());
+    plan.regimes.resize(sequence.size());
+    PlanAttempt& attempt = shared.attempt;
+    PolishByTranscription(
+        run, plan, shared.intervals, [](const auto& /*times*/, const auto& /*speeds*/) { return true; }, &attempt);
+    run->report().work.evaluations = attempt.jacobians;
+    const ExactRun& exact = attempt.trial.exact;
+    if (!attempt.valid || !exact.ok) return run->Finish(from, from.exact.loss, Termination::kNoProgress);
+    if (attempt.converged && attempt.realized && !run->IsRefuted(attempt.trial)) {
+      run->report().certificate = run->Certify(attempt.trial);
+      return run->Finish(attempt.trial, exact.loss, Termination::kConverged);
+    }
+    return run->Finish(attempt.trial,
+                       exact.loss,
+                       Termination::kNoProgress,
+                       ReasonNotOptimal(scene_, sequence, shared.minimum.touches, exact));
   }
 
   const PhaseRun& run_;

@@ -13,6 +13,9 @@
 // that a descent brings below kMuchWorse of the best loss. After those, neighbours of other motions below it are tried,
 // best first. At last intervals of the best motion move to other phases.
 //
+// Solves leave it to the search to certify optima at which the loss has no kink: each once, when it is looked at. One
+// that its certificate refutes, such as a saddle, is the start of a solve that certifies where it ends, and leaves it.
+//
 // Rule, by which a search is complete: the neighbours of all motions found below kMuchWorse of the best loss are tried,
 // except for those whose lower bound is above it; or no motion can have a lower loss.
 // Limits, which leave it incomplete: `iterations` solves, kPatience of them without anything better, most of the work
@@ -41,7 +44,9 @@
 //   starts_of_sequence()                       the motions from which a sequence is tried
 //   AllCostsAreSquares(), LossForUser(loss), OptimumOf(trial), kLeftOut
 //   descends_from_guess()                      whether solves begin at ends of descents from the guess, too
-//   shares_intervals()                         whether intervals are shared between phases at the end
+//   by_arcs()                                  whether usual solves take phases in closed form, whose intervals are
+//   shared
+//                                              between them at the end
 #pragma once
 
 #include <algorithm>
@@ -74,8 +79,9 @@ struct SearchStartOf {
   Shooting shooting = Shooting::kNone;
   std::optional<std::vector<typename Run::Event>> sequence = std::nullopt;
   Effort effort = Effort::kUsual;
-  bool is_guess = false;  // the start of the user, which is not given up for others
-  bool is_more = false;   // one of more starts, with few intervals, solved from if shooting brings it near the best
+  bool is_guess = false;   // the start of the user, which is not given up for others
+  bool is_more = false;    // one of more starts, with few intervals, solved from if shooting brings it near the best
+  bool certifies = false;  // the solve certifies its optimum, as its start is one that a certificate refutes
 };
 
 // The motion that a solve ends with, if trial.exact.ok.
@@ -105,8 +111,6 @@ inline std::string BestOf(size_t optima) {
 inline int IterationsWithin(double most_work, double each, int iterations) {
   return static_cast<int>(std::min<double>(iterations, std::max(1.0, most_work / each)));
 }
-
-inline constexpr double kSameOptimum = 1e-6;  // relative, between losses along one sequence
 
 // The parts of a search that know no motions: its limits, which are `iterations` solves, SearchOptions and an
 // interrupt; and the optima that it has found.
@@ -153,21 +157,21 @@ class LimitedSearch {
     return std::to_string(solves_) + (solves_ == 1 ? " solve" : " solves") + ", best loss " + std::to_string(best_loss);
   }
 
-  // Returns the known optimum of the sequence that is the same as `found`, null if there is none.
-  LocalOptimum* KnownAs(const LocalOptimum& found) {
-    const auto known = std::ranges::find_if(optima_, [&](const LocalOptimum& other) {
+  // Returns the one of several optima that is the same as `found`, null if there is none.
+  static LocalOptimum* FindSame(const LocalOptimum& found, std::vector<LocalOptimum>* optima) {
+    const auto known = std::ranges::find_if(*optima, [&](const LocalOptimum& other) {
       return other.sequence == found.sequence &&
              std::abs(other.loss - found.loss) <= kSameOptimum * std::abs(found.loss);
     });
-    return known == optima_.end() ? nullptr : &*known;
+    return known == optima->end() ? nullptr : &*known;
   }
   std::vector<LocalOptimum> TakeOptima() {
     std::ranges::stable_sort(optima_, {}, &LocalOptimum::loss);
     return std::move(optima_);
   }
 
-  SolverOptions options_;  // with its own limits
-  std::vector<LocalOptimum> optima_;
+  SolverOptions options_;                              // with its own limits
+  std::vector<LocalOptimum> optima_, refuted_optima_;  // the latter are none, by their certificates
   SearchStatistics searched_;
   int drawn_ = 0, solves_ = 0;
   std::optional<End> end_;
@@ -295,6 +299,7 @@ class SequenceSearch : LimitedSearch {
   }
 
   std::vector<Start> NextStarts() {
+    if (!refuted_.empty()) return std::exchange(refuted_, {});
     if (!HasOptimum() && best_->trial.exact.only_impacts && IsBelow(best_->trial, mended_)) {
       mended_ = problem_.MeritOf(best_->trial);
       return {{.trial = best_->trial, .effort = Effort::kThorough}};
@@ -396,15 +401,24 @@ class SequenceSearch : LimitedSearch {
 
   // The best motion, with the intervals that a share of them between phases by their lengths has left unused.
   void ShareBest() {
-    if (!problem_.shares_intervals() || end_ || !best_ || IsLowest()) return;
+    if (!problem_.by_arcs() || end_ || !best_ || IsLowest()) return;
     const Trial before = best_->trial;
-    if (before.exact.contacts.empty() || !before.exact.only_impacts) return;
     const bool is_optimum = HasOptimum();
-    SolveAll({{.trial = before, .sequence = before.exact.contacts, .effort = Effort::kShare}});
+    if (!before.exact.only_impacts) return;
+    std::vector<Sequence> along = {before.exact.contacts};
+    if (!is_optimum && best_along_ != along[0]) along.push_back(best_along_);
+    std::vector<Start> shares;
+    for (const Sequence& sequence : along) {
+      if (!sequence.empty()) shares.push_back({.trial = before, .sequence = sequence, .effort = Effort::kShare});
+    }
+    SolveAll(shares);
     if (is_optimum && best_->trial.exact.loss < before.exact.loss) {
       std::erase_if(optima_, [&](const LocalOptimum& known) { return known.loss == before.exact.loss; });
     }
-    if (is_optimum && !HasOptimum() && !end_) SolveAll({{.trial = best_->trial, .effort = Effort::kThorough}});
+    SolveAll(std::exchange(refuted_, {}));
+    for (const Effort effort : {Effort::kUsual, Effort::kThorough}) {
+      if (is_optimum && !HasOptimum() && !end_) SolveAll({{.trial = best_->trial, .effort = effort}});
+    }
   }
 
   // ----------------------------------------------------------------------------------------------------------- solves
@@ -488,10 +502,15 @@ class SequenceSearch : LimitedSearch {
       return;
     }
     AddIfNew(trial.exact.contacts, &searched_along_);
+    if (IsOptimum(finding) && IsRefuted(start, &finding)) {
+      finding.report.termination = Termination::kNoProgress;
+      finding.report.reason = "the conditions of an optimum hold at the end of the solve, and its certificate fails";
+      finding.report.certificate.reset();
+    }
     if (IsOptimum(finding)) {
       LocalOptimum found = problem_.OptimumOf(trial);
       if (start.shooting != Shooting::kNone && !start.is_guess) NoteOptimumOfStart(found);
-      LocalOptimum* known = KnownAs(found);
+      LocalOptimum* known = FindSame(found, &optima_);
       if (known == nullptr) {
         optima_.push_back(std::move(found));
       } else if (found.loss < known->loss) {
@@ -503,15 +522,34 @@ class SequenceSearch : LimitedSearch {
       better_work_ = searched_.work;
     }
     NoteUnexpanded(trial);
-    if (!best_ || IsBetter(finding)) best_ = std::move(finding);
+    if (best_ && !IsBetter(finding)) return;
+    best_along_ = start.sequence ? *start.sequence : trial.exact.contacts;
+    best_ = std::move(finding);
+  }
+
+  // Certifies an optimum that is not known. Returns whether it is none, so that a solve from it is to leave it.
+  bool IsRefuted(const Start& start, Finding* finding) {
+    const Trial& trial = finding->trial;
+    std::optional<Certificate>& certificate = finding->report.certificate;
+    const LocalOptimum found = problem_.OptimumOf(trial);
+    if (start.certifies || certificate || !run_.HasCertificate() || FindSame(found, &optima_)) return false;
+    if (FindSame(found, &refuted_optima_)) return true;
+    certificate = run_.Certify(trial);
+    const bool leaves_node = std::ranges::any_of(certificate->impacts, &ImpactCertificate::LeavesNode);
+    if (!certificate->IsSaddle() && certificate->verdict != Certificate::Verdict::kNotStationary && !leaves_node) {
+      return false;
+    }
+    refuted_optima_.push_back(found);
+    Start& again = refuted_.emplace_back(start);
+    again.trial = trial;
+    again.shooting = Shooting::kNone;
+    again.certifies = true;
+    return true;
   }
 
   void NoteOptimumOfStart(const LocalOptimum& found) {
     ++optima_from_starts_;
-    const bool known = std::ranges::any_of(optima_of_starts_, [&](double loss) {
-      return std::abs(loss - found.loss) <= kSameOptimum * std::abs(found.loss);
-    });
-    if (!known) optima_of_starts_.push_back(found.loss);
+    if (!HasSameLoss(optima_of_starts_, found.loss)) optima_of_starts_.push_back(found.loss);
   }
 
   // Notes that the neighbours of a motion may be tried; those of the worst motions are forgotten first.
@@ -570,6 +608,7 @@ class SequenceSearch : LimitedSearch {
     }
     SolveReport& best = best_->report;
     const bool converged = HasOptimum();
+    if (converged && !best.certificate && run_.HasCertificate()) best.certificate = run_.Certify(best_->trial);
     run_.report().certificate = std::move(best.certificate);
     if (auto& certificate = run_.report().certificate; certificate && converged) {
       certificate->sequences_searched = searched_.sequences;
@@ -596,8 +635,10 @@ class SequenceSearch : LimitedSearch {
   typename Problem::Run& run_;
   const Problem& problem_;
   std::optional<Finding> best_;
+  Sequence best_along_;                      // with which its solve has begun
   std::multimap<double, Trial> unexpanded_;  // by merit: whose neighbours may be tried
   std::vector<Trial> strayed_;               // to be solved along their own sequences
+  std::vector<Start> refuted_;               // from optima that are none by their certificates
   std::vector<Sequence> tried_;              // that were given to a solve
   std::vector<Sequence> searched_along_;     // these, and those that solves have ended with
   std::vector<Sequence> expanded_;           // whose neighbours are tried

@@ -200,76 +200,74 @@ SolveReport SolveByLbfgs(const HybridProblem& problem, const SolverOptions& opti
   return AcceptOptimum(problem, MinimizeByLbfgs(&run));
 }
 
-// The residuals of a cost that reads the control of one interval, and perhaps its length, as a function of the blocks
-// of variables that this control is in and, if it is free, of the final time.
-class IntervalCost final : public ceres::CostFunction {
+// The residuals of a cost in several intervals, of each of which it reads the control and perhaps the length, as a
+// function of the block of variables that these controls are in and, if it is free, of the final time.
+class IntervalCosts final : public ceres::CostFunction {
  public:
-  // The control begins `offset` variables after the first of these blocks. Its interval lasts `part` of the final time,
-  // which is the last block, or `duration` if there is none.
-  IntervalCost(const HybridTerm& term, std::vector<int> sizes, int offset, double part, std::optional<double> duration)
-      : term_(term), offset_(offset), part_(part), duration_(duration) {
-    set_num_residuals(term.function->num_residuals());
-    *mutable_parameter_block_sizes() = std::move(sizes);
+  struct Interval {
+    int first;    // variable of its control in the block
+    double part;  // of the final time, which is the last block, or `duration` if there is none
+  };
+  IntervalCosts(const HybridTerm& term, int size, std::vector<Interval> intervals, std::optional<double> duration)
+      : term_(term), intervals_(std::move(intervals)), duration_(duration) {
+    set_num_residuals(static_cast<int>(intervals_.size()) * term.function->num_residuals());
+    mutable_parameter_block_sizes()->push_back(size);
+    if (!duration) mutable_parameter_block_sizes()->push_back(1);
   }
 
   bool Evaluate(double const* const* blocks, double* residuals, double** jacobians) const override {
-    const std::vector<int>& sizes = parameter_block_sizes();
-    std::vector<double> variables;
-    for (size_t i = 0; i < sizes.size(); ++i) variables.insert(variables.end(), blocks[i], blocks[i] + sizes[i]);
-    const double length = part_ * duration_.value_or(variables.back());
-    const double* const arguments[] = {&variables[offset_], &length};
-    const int rows = num_residuals(), width = term_.function->parameter_block_sizes()[0];
-    std::vector<double> by_control(rows * width), by_length(rows);
+    const int size = parameter_block_sizes()[0], width = term_.function->parameter_block_sizes()[0];
+    const Eigen::Index rows = term_.function->num_residuals();
+    Matrix by_control(rows, width);
+    Eigen::VectorXd by_length(rows);
     double* by[] = {by_control.data(), by_length.data()};
-    if (!term_.function->Evaluate(arguments, residuals, jacobians == nullptr ? nullptr : by)) return false;
-    int first = -offset_;  // of the block, counted from the control
-    for (size_t i = 0; jacobians != nullptr && i < sizes.size(); first += sizes[i++]) {
-      if (jacobians[i] == nullptr) continue;
-      const bool is_time = !duration_ && i + 1 == sizes.size();
-      for (int row = 0; row < rows; ++row) {
-        for (int k = 0; k < sizes[i]; ++k) {
-          const bool inside = !is_time && first + k >= 0 && first + k < width;
-          jacobians[i][row * sizes[i] + k] = inside ? by_control[row * width + first + k] : 0;
-        }
-        if (is_time && term_.with_length) jacobians[i][row] = part_ * by_length[row];
+    double* const of_control = jacobians != nullptr ? jacobians[0] : nullptr;
+    double* const of_time = jacobians != nullptr && !duration_ ? jacobians[1] : nullptr;
+    if (of_control != nullptr) std::fill_n(of_control, num_residuals() * size, 0.0);
+    if (of_time != nullptr) std::fill_n(of_time, num_residuals(), 0.0);
+    for (Eigen::Index k = 0, row = 0; row < num_residuals(); ++k, row += rows) {
+      const auto& [first, part] = intervals_[k];
+      const double length = part * (duration_ ? *duration_ : blocks[1][0]);
+      const double* const arguments[] = {blocks[0] + first, &length};
+      if (!term_.function->Evaluate(arguments, residuals + row, jacobians != nullptr ? by : nullptr)) return false;
+      if (of_control != nullptr) {
+        Eigen::Map<Matrix>(of_control, num_residuals(), size).block(row, first, rows, width) = by_control;
+      }
+      if (of_time != nullptr && term_.with_length) {
+        Eigen::Map<Eigen::VectorXd>(of_time, num_residuals()).segment(row, rows) = part * by_length;
       }
     }
     return true;
   }
 
  private:
+  using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
   const HybridTerm& term_;
-  const int offset_;
-  const double part_;
+  const std::vector<Interval> intervals_;
   const std::optional<double> duration_;
 };
 
-// Adds a block of residuals for each interval of each cost that reads nothing else.
+// Adds the residuals of each cost that reads the control of an interval alone. Each control is within one block.
 void AddCostsOfIntervals(const HybridProblem& problem, const VariableBlocks& variables, ceres::Problem* ceres) {
   const HybridInput& guess = problem.guess;
   const std::vector<double> times = guess.Times();
   const int width = problem.system.num_controls();
   for (const HybridTerm& term : problem.terms) {
     if (!HybridShooting::IsOfIntervalAlone(term)) continue;
-    size_t block = 0;
-    int first = 0;  // variable of this block
-    for (int k = 0; k < guess.num_intervals; ++k) {
-      if (term.interval >= 0 && term.interval != k) continue;
-      for (; first + variables.sizes[block] <= k * width; ++block) first += variables.sizes[block];
-      std::vector<int> sizes;
-      std::vector<double*> blocks;
-      for (int end = first; end < (k + 1) * width; end += sizes.back()) {
-        blocks.push_back(variables.blocks[block + sizes.size()]);
-        sizes.push_back(variables.sizes[block + sizes.size()]);
+    int k = 0, begin = 0;  // the next interval, and the first variable of a block
+    for (size_t block = 0; k < guess.num_intervals; begin += variables.sizes[block++]) {
+      std::vector<IntervalCosts::Interval> intervals;
+      for (; k < guess.num_intervals && k * width < begin + variables.sizes[block]; ++k) {
+        if (term.interval >= 0 && term.interval != k) continue;
+        intervals.push_back({k * width - begin, (times[k + 1] - times[k]) / guess.duration});
       }
-      std::optional<double> duration = guess.duration;
-      if (problem.free.duration) {
-        duration.reset();
-        blocks.push_back(variables.blocks.back());
-        sizes.push_back(1);
-      }
-      const double part = (times[k + 1] - times[k]) / guess.duration;
-      ceres->AddResidualBlock(new IntervalCost(term, sizes, k * width - first, part, duration), nullptr, blocks);
+      if (intervals.empty()) continue;
+      std::vector<double*> blocks = {variables.blocks[block]};
+      if (problem.free.duration) blocks.push_back(variables.blocks.back());
+      const std::optional<double> duration =
+          problem.free.duration ? std::nullopt : std::optional<double>(guess.duration);
+      ceres->AddResidualBlock(
+          new IntervalCosts(term, variables.sizes[block], std::move(intervals), duration), nullptr, blocks);
     }
   }
 }
@@ -358,7 +356,12 @@ SolveReport SolveByLm(const HybridProblem& problem, const SolverOptions& options
     if (apart) AddCostsOfIntervals(problem, variables, ceres);
   };
   return AcceptOptimum(problem,
-                       MinimizeLeastSquares(&run, run.initial_guess(), problem.free.duration, /*offset=*/0, add_terms));
+                       MinimizeLeastSquares(&run,
+                                            run.initial_guess(),
+                                            problem.free.duration,
+                                            /*offset=*/0,
+                                            add_terms,
+                                            problem.system.num_controls()));
 }
 
 // Whether no motion of the system has events.

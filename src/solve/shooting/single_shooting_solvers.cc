@@ -184,16 +184,18 @@ class Loss final : public ceres::FirstOrderFunction {
 };
 
 constexpr double kWeightOfCosts = 1;  // of constraints beside the costs ahead, in the first solve
-constexpr int kBlockSize = 8;         // variables
+constexpr int kBlockSize = 8;         // variables, at most or one row of a control
 constexpr int kMostInOneBlock = 16;   // up to here a dense factorization is cheaper than conjugate gradients
 
-// The variables, cut into blocks, some of which may be smaller; the last `num_own` have blocks of their own.
-std::vector<int> BlockSizes(int num_variables, int num_own) {
+// The variables, cut into blocks, none within a row of the control, of `width` numbers; the last `num_own` have blocks
+// of their own.
+std::vector<int> BlockSizes(int num_variables, int num_own, int width) {
   num_variables -= num_own;
+  const int most = width * std::max(1, kBlockSize / width);
   std::vector<int> sizes;
   if (num_variables > kMostInOneBlock) {
-    sizes.assign(num_variables / kBlockSize, kBlockSize);
-    if (num_variables % kBlockSize != 0) sizes.push_back(num_variables % kBlockSize);
+    sizes.assign(num_variables / most, most);
+    if (num_variables % most != 0) sizes.push_back(num_variables % most);
   } else if (num_variables > 0) {
     sizes = {num_variables};
   }
@@ -423,13 +425,13 @@ SolveReport SolveByCeresLbfgs(const SolveRequest& request, const SolverOptions& 
 
 SolveReport MinimizeLeastSquares(
     ShootingRun* run, std::vector<double> z, int num_own, double offset,
-    const std::function<void(const VariableBlocks& variables, ceres::Problem* problem)>& add_terms) {
+    const std::function<void(const VariableBlocks& variables, ceres::Problem* problem)>& add_terms, int width) {
   double guess_loss = 0;
   if (!run->function().Evaluate(z, &guess_loss, nullptr)) {
     return run->Finish(z, Termination::kFailed, "loss not finite at iteration 0");
   }
   ceres::Problem problem;
-  VariableBlocks variables{BlockSizes(run->function().num_variables(), num_own), {}};
+  VariableBlocks variables{BlockSizes(run->function().num_variables(), num_own, std::max(1, width)), {}};
   double* next = z.data();
   for (const int size : variables.sizes) {
     variables.blocks.push_back(next);

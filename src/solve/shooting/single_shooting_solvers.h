@@ -50,14 +50,14 @@ struct VariableBlocks {
 
 // Levenberg-Marquardt, by ceres::Solver, on the residuals of the run's function, from z, plus the terms that
 // `add_terms` adds, whose loss is without `offset`. `add_terms` may also set bounds, within which z is. The last
-// `num_own` variables have blocks of their own.
+// `num_own` variables have blocks of their own, and no block ends within a row of the control of `width` numbers.
 //
 // The Gauss-Newton matrix is a multiple of the identity plus one rank per terminal residual. It is never formed: the
 // variables come in small blocks, and conjugate gradients need one iteration per distinct eigenvalue, three for one
 // terminal term.
 SolveReport MinimizeLeastSquares(
     ShootingRun* run, std::vector<double> z, int num_own, double offset,
-    const std::function<void(const VariableBlocks& variables, ceres::Problem* problem)>& add_terms);
+    const std::function<void(const VariableBlocks& variables, ceres::Problem* problem)>& add_terms, int width = 1);
 
 // Minimises with constraints, by an augmented Lagrangian or an interior-point method (augmented_lagrangian.h) from z.
 // The rows of the run's function have these roles. `set_bounds` may bound z, which is within.

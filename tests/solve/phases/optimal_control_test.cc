@@ -112,6 +112,17 @@ struct Integrator {
   }
 };
 
+// A chain of height x[0] and slope u, with its weight times height and its length.
+struct HangingChain {
+  template <typename T>
+  void operator()(const T* x, const T* u, T* xdot) const {
+    using std::sqrt;
+    xdot[0] = u[0];
+    xdot[2] = sqrt(1.0 + u[0] * u[0]);
+    xdot[1] = x[0] * xdot[2];
+  }
+};
+
 // Rayleigh's oscillator, with the integral of u^2 + x^2.
 struct Rayleigh {
   template <typename T>
@@ -421,6 +432,26 @@ TEST(OptimalControl, TriesUnitsOfTheVariables) {
   const SolveReport lbfgs = Solve("ceres_lbfgs", problem, {});
   ASSERT_EQ(lbfgs.termination, Termination::kConverged) << lbfgs.reason;
   ExpectOptimum(problem, lbfgs.solution.loss, 1e-6, "Rayleigh", "ipopt");
+}
+
+// A chain of length 4 that hangs between heights 1 and 3 at a distance of 1: the catenary a cosh((t - c) / a) + b. From
+// a straight guess many intervals lead astray, and few ones do not.
+TEST(OptimalControl, GoesOnFromFewIntervals) {
+  HybridProblem problem = Problem<HangingChain, 3, 1>({1, 0, 0}, 1, 2, 160);
+  problem.terms = {StateRows<1, 3>(Timing::kEnd, Role::kValue, {1}, {1}, {0}),
+                   StateRows<2, 3>(Timing::kEnd, Role::kEquality, {0, 2}, {1, 1}, {3, 4})};
+  double a = 0.2;  // by Newton's method: the square of 2 a sinh(1 / 2a) is that of the length less that of the rise
+  for (int i = 0; i < 20; ++i) {
+    const double s = 0.5 / a;
+    a -= (2 * a * std::sinh(s) - std::sqrt(12.0)) / (2 * std::sinh(s) - 2 * s * std::cosh(s));
+  }
+  const double c = 0.5 - a * std::atanh(0.5), b = 1 - a * std::cosh(c / a);
+  const auto moment = [](double s) { return s / 2 + std::sinh(2 * s) / 4; };
+  const double optimum = a * a * (moment((1 - c) / a) - moment(-c / a)) + 4 * b;
+  const SolveReport report = Solve("auto", problem, {});
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_GT(report.solution.loss, optimum);
+  EXPECT_LT(report.solution.loss, optimum + 2e-5);  // slopes are constant over each interval
 }
 
 // The end of the transfer is a circular orbit.

@@ -91,13 +91,18 @@ TEST_P(BySequence, StrikesAtTheFinalTime) {
 
 // Head-on the ball is stationary at a saddle; on either side of it the best way leads past the post, which it touches.
 // The loss of that in continuous time, by minimization over time, angle and speed of the touch alone: 2.711708788.
-TEST_P(BySequence, LeavesASaddleForAGraze) {
+Scene HeadOnPost() {
   Scene scene = Unpushed(1, 200, 0.9);
   scene.bodies = {{.name = "ball", .radius = 0.1, .mass = 1, .position = {-1, 0}, .velocity = {2.5, 0}},
                   {.name = "post", .radius = 0.2, .fixed = true, .position = {0, 0}}};
   scene.control = {{0}, {{0, 0}}};
   scene.objective.terminal = {{.body = 0, .target = {1, 0}}};
   scene.objective.effort = 0.5;
+  return scene;
+}
+
+TEST_P(BySequence, LeavesASaddleForAGraze) {
+  Scene scene = HeadOnPost();
   const SolveReport report = Solve(GetParam(), {scene, "event"}, {});
   ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
   EXPECT_LT(report.solution.loss, 2.712);
@@ -109,6 +114,17 @@ TEST_P(BySequence, LeavesASaddleForAGraze) {
   // With a post that is larger by less than a hair, the same control meets it.
   scene.bodies[1].radius += 1e-6;
   EXPECT_FALSE(Resimulate(scene, report).events.empty());
+}
+
+// A search certifies an optimum after its solve, and solves from a saddle once more.
+TEST(SequenceUpdate, ASearchLeavesASaddle) {
+  SolverOptions options;
+  options.sequences.limits.starts = 0;
+  const SolveReport report = Solve("mode_search", {HeadOnPost(), "event"}, options);
+  ASSERT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_LT(report.solution.loss, 2.712);
+  EXPECT_GT(report.solution.loss, 2.711708787);
+  for (const LocalOptimum& optimum : report.optima) EXPECT_TRUE(optimum.sequence.empty()) << optimum.loss;
 }
 
 INSTANTIATE_TEST_SUITE_P(Solvers, BySequence, testing::Values("ceres_phases", "ceres_event"), ParameterName());
@@ -296,6 +312,7 @@ class PlainRun {
   bool one_of_many = false;
 
   bool is_one_of_many() const { return one_of_many; }
+  bool certifies() const { return true; }
   double most_loss() const { return INFINITY; }
 
   const SolverOptions& options() const { return options_; }

@@ -189,6 +189,19 @@ TEST(ModeSearch, SharesIntervalsBetweenPhases) {
   }
 }
 
+// With its intervals shared otherwise, the best motion here is one that arcs leave just off the conditions of an
+// optimum: it becomes one with as many intervals in each phase.
+TEST(ModeSearch, SharedIntervalsEndAtAnOptimum) {
+  const Scene scene = ControlProblem(26);
+  const SolveReport report = Solve("mode_search", {scene, "event"}, {});
+  EXPECT_EQ(report.termination, Termination::kConverged) << report.reason;
+  EXPECT_NEAR(ExactLoss(scene, report), report.solution.loss, 1e-12 * report.solution.loss);
+  ASSERT_TRUE(report.certificate);
+  EXPECT_EQ(report.certificate->verdict, Certificate::Verdict::kStationary) << report.certificate->reason;
+  const SolveReport phases = Solve("ceres_phases", {scene, "event"}, {});
+  EXPECT_LT(report.solution.loss, ExactLoss(scene, phases));
+}
+
 // Its best motion is an optimum that other solvers miss, or reach and cannot tell.
 struct Hard {
   const char* name;
