@@ -815,9 +815,11 @@ SolveReport SolveHybrid(std::string_view solver, Algorithm algorithm, const Hybr
 
 // Solves on the intervals asked for; if that ends without an optimum, from coarse to fine: the optimum of a coarse grid
 // may share the intervals among the phases in another way, and an interior-point method gains nothing from a near
-// start. Newton's iterations of an interior-point method end soon or go astray: most are left to the coarse grids.
+// start. Newton's iterations of an interior-point method end soon or go astray: of many, most are left to the coarse
+// grids.
 SolveReport SolveDirectlyFirst(std::string_view solver, Algorithm algorithm, const HybridProblem& problem,
                                const SolverOptions& options) {
+  constexpr int kLeastDirectly = 100;
   if (!options.sequences.given) {
     if (std::optional<SolveReport> report = RecogniseGuess(solver, problem, options)) return *report;
   }
@@ -825,7 +827,8 @@ SolveReport SolveDirectlyFirst(std::string_view solver, Algorithm algorithm, con
   SolverOptions directly = options;
   directly.coarse_to_fine = false;
   if (has_coarse && algorithm == Algorithm::kInteriorPoint) {
-    directly.limits.iterations = (options.limits.iterations + 2) / 3;
+    const int all = options.limits.iterations;
+    directly.limits.iterations = std::max(std::min(all, kLeastDirectly), (all + 2) / 3);
   }
   SolveChain chain(options);
   SolveReport report = SolveHybrid(solver, algorithm, problem, directly);

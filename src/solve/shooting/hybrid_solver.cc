@@ -27,7 +27,7 @@ namespace saltus {
 namespace {
 
 constexpr int kFewColumns = 200;         // of a dense Jacobian, up to which its factors cost less than those of phases
-constexpr int kFirstIterations = 100;    // of phases, before the states are eliminated
+constexpr int kFirstIterations = 200;    // of phases on all intervals, before the states are eliminated
 constexpr int kFromNear = 100;           // iterations of phases from the solution on few intervals
 constexpr double kZero = 1e-12;          // of the loss of the guess: a loss that is zero
 constexpr double kNoSlope = 1e-8;        // of the largest one: of a state whose target is met
@@ -612,7 +612,10 @@ SolveReport SolveAutomatically(const HybridProblem& problem, const SolverOptions
       return report;
     }
     const bool is_first = name == "ipopt" && from == nullptr && is_smooth;
-    if (is_first) of_solve.limits.iterations = std::min(of_solve.limits.iterations, kFirstIterations);
+    if (is_first) {
+      of_solve.limits.iterations = std::min(of_solve.limits.iterations, kFirstIterations);
+      of_solve.coarse_to_fine = false;
+    }
     // With constraints, shooting has found no optimum that phases have not.
     report.reason =
         name == "ceres_lm" && constrained ? UnsupportedByShooting(problem) : entry.reason_not_applicable(problem);
