@@ -305,6 +305,27 @@ def test_solvers_see_the_jump(solver):
     assert_allclose(run.parameters, [0.75], atol=1e-6)
 
 
+@pytest.mark.parametrize("solver", ["ceres_phases", "ipopt", "mode_search"])
+@pytest.mark.parametrize("by_state", [False, True])
+def test_a_motion_that_begins_at_a_point_of_a_table_is_solved(solver, by_state):
+    def solve(points, values):
+        def flow(t, x, u, p):
+            return [u[0] + saltus.interp(x[0] if by_state else t, points, values)]
+
+        system = saltus.HybridSystem(states={"m": ["x"]}, controls=["u"], flow={"m": flow})
+        costs = [saltus.terminal([1.0]), saltus.effort(1.0)]
+        problem = saltus.HybridProblem(system, mode="m", initial=[0.0], control=np.ones((4, 1)), duration=1.0, costs=costs)
+        return saltus.solve(problem, solver=solver)
+
+    result = solve([0, 0.4, 2], [0.2, 1, 0])
+    before_it = solve([-1, 0.4, 2], [-1.8, 1, 0])  # the same line
+    assert result.termination == before_it.termination == "converged"
+    assert_allclose(result.loss, before_it.loss, rtol=1e-7)
+    if not by_state:
+        area = 0.5 * (0.2 + 1) * 0.4 + 0.5 * (1 + 0.625) * 0.6
+        assert_allclose(result.loss, 0.5 * (1 - area) ** 2, rtol=1e-9)
+
+
 @pytest.mark.parametrize("optimize", [["c"], ["c", "x"]])
 def test_a_solution_at_which_nothing_that_is_optimized_matters_has_not_converged(optimize):
     """An infusion until t = c > 1 lasts longer than the motion: the derivative by c is zero, and the loss 1/16."""

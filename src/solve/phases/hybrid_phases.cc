@@ -248,6 +248,7 @@ HybridPhaseRun::HybridPhaseRun(std::string_view solver, const HybridProblem& pro
   guess_ = MotionOf(problem_.guess);
   MoveWithin(&guess_);
   Simulate(&guess_);
+  BeginWhereMotionGoes();
   guess_.guess_states = problem_.guess_states;
   if (!guess_.exact.ok && !guess_.guess_states.empty() && problem_.integration.steps_per_interval <= 0) {
     problem_.integration.steps_per_interval = StepsFromStates(problem_);
@@ -257,6 +258,7 @@ HybridPhaseRun::HybridPhaseRun(std::string_view solver, const HybridProblem& pro
   if (start) {
     guess_ = std::move(*start);
     Simulate(&guess_);
+    BeginWhereMotionGoes();
   }
   if (Starts()) Record(guess_.exact.loss);  // infinite without a motion
 }
@@ -275,6 +277,17 @@ std::optional<SolveReport> HybridPhaseRun::StartFailure() {
                 "from the initial guess a guard grazes zero, or a transition happens at once; phases support events at "
                 "distinct times only: start from a guess beside it" +
                     std::string(all_costs ? ", or use ceres_lm" : ""));
+}
+
+// A motion that begins at the zero of a switch goes on in a piece of the mode that its flow decides.
+void HybridPhaseRun::BeginWhereMotionGoes() {
+  const HybridSimulator& simulator = shooting_->simulator();
+  if (!guess_.exact.moves || simulator.num_steps() == 0) return;
+  const HybridFunctions& functions = problem_.system.functions();
+  const int mode = simulator.StepMode(0);
+  if (functions.num_switches(mode) > 0 && functions.BaseMode(mode) == functions.BaseMode(problem_.guess.mode)) {
+    problem_.guess.mode = mode;
+  }
 }
 
 // Finds the scales of the last motion.

@@ -120,6 +120,7 @@ class HybridPhaseRun final : public SequenceRun {
   SolveReport Finish(const HybridMotion& motion, double loss, Termination termination, std::string reason = {});
 
  private:
+  void BeginWhereMotionGoes();
   void FindScales();
   void RaiseUnnoticedSizes();
 
