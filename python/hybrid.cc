@@ -505,7 +505,7 @@ class Problem {
         remark += (remark.empty() ? "" : "; ") + text;
         found.push_back({kind, text});
       };
-      add("derivative", shooting_->DescribeLossJumps(loss));
+      add("derivative", shooting_->DescribeJumpsAndKinks(loss));
       add("guess", shooting_->TermsWithoutEvents());
       remarks = RemarksToJson(found);
     });
@@ -564,7 +564,7 @@ class Problem {
             why = shooting.FailureReason();
           } else if (with_gradients) {
             remarks[i] =
-                JoinReasons(shooting.simulator().ReasonNotDifferentiable(), shooting.DescribeLossJumps(loss[i]));
+                JoinReasons(shooting.simulator().ReasonNotDifferentiable(), shooting.DescribeJumpsAndKinks(loss[i]));
           }
         }
         if (why.empty()) return;

@@ -967,3 +967,47 @@ def test_a_constraint_may_name_parameters_that_its_system_has_not(role, at, read
     run = saltus.solve(problem)
     assert run.termination == "converged", run.reason
     assert_allclose(run.loss, 1.0 if role == "equality" else 0.0, atol=1e-8)  # from 2 to 1 in 1 s, or at rest
+
+
+KINKS = [
+    (saltus.cost(lambda x: abs(x[0] - 1)), "x - 1"),
+    (saltus.residuals(lambda x: [1 + abs(x[0] - 1)]), "x - 1"),
+    (saltus.cost(lambda x, p: x[0] * np.maximum(p[0], p[1])), "a - b"),
+    (saltus.cost(lambda p: saltus.where(p[0] > 1, 3 * p[0], p[0] + 2)), "a - 1"),
+    (saltus.residuals(lambda x: [np.maximum(x[0], 0.5)], at="steps"), "x - 0.5"),
+]
+
+
+@pytest.mark.parametrize("cost, number", KINKS)
+def test_a_kink_of_a_cost_where_the_motion_is_has_a_remark(cost, number):
+    system = saltus.HybridSystem(states={"m": ["x", "v"]}, parameters=["a", "b"], flow={"m": lambda x: [x[1], 0.0]})
+
+    def make(x, a):
+        return saltus.HybridProblem(
+            system, mode="m", initial=[x, 1], parameters=[a, 1], duration=1.0, control=np.zeros((4, 0)), costs=[cost]
+        )
+
+    at_kink = saltus.loss_and_gradient(make(0.0, 1.0))
+    assert " is not smooth at t = " in at_kink.remark and f"'{number}'" in at_kink.remark
+    assert [remark["kind"] for remark in at_kink.remarks] == ["derivative"]
+    assert saltus.loss_and_gradient(make(0.01, 1.01)).remark == ""  # beside it
+    batch = saltus.HybridBatch(make(0.0, 1.0), optimize=["initial", "parameters"])
+    with pytest.warns(RuntimeWarning, match="not smooth"):
+        batch.loss_and_gradient([[0.0, 1, 1, 1], [0.01, 1, 1.01, 1]])
+    assert list(batch.remarks) == [0]
+
+
+@pytest.mark.parametrize(
+    "cost",
+    [
+        saltus.residuals(lambda x: [np.maximum(x[0] - 1, 0)]),  # whose square is smooth
+        saltus.cost(lambda x: abs(x[2])),  # of a state that nothing moves
+        saltus.cost(lambda x: x[0] + saltus.where(x[0] > 1, 0.0, 0.0)),
+    ],
+)
+def test_a_number_that_is_zero_where_no_derivative_jumps_has_no_remark(cost):
+    system = saltus.HybridSystem(states={"m": ["x", "v", "z"]}, flow={"m": lambda x: [x[1], 0.0, 0.0]})
+    problem = saltus.HybridProblem(system, mode="m", initial=[0, 1, 0], duration=1.0, costs=[cost])
+    batch = saltus.HybridBatch(problem, optimize=["duration"])
+    batch.loss_and_gradient([[1.0]])
+    assert batch.remarks == {}

@@ -11,8 +11,12 @@
 #include <optional>
 
 #include "base/number_text.h"
+#include "base/random.h"
 #include "base/statistics.h"
+#include "base/table.h"
 #include "hybrid/greatest_values.h"
+#include "hybrid/motion_derivatives.h"
+#include "hybrid/recorded_functions.h"
 
 namespace saltus {
 namespace {
@@ -284,6 +288,120 @@ std::string HybridShooting::DescribeLossJumps(double loss) const {
   return remark;
 }
 
+int HybridShooting::ModeOf(const Place& place) const {
+  if (place.event < 0) return ModeAt(place.interval >= 0 ? place.interval : input_.num_intervals);
+  const HybridEvent& event = Events()[place.event];
+  return place.term->before ? event.mode : event.next_mode;
+}
+
+std::vector<std::string> HybridShooting::NamesAt(const Place& place) const {
+  const HybridTerm& term = *place.term;
+  const HybridLayout& layout = problem_.system.layout();
+  std::vector<std::string> names;
+  const auto add_states = [&](int mode, const std::string& before) {
+    for (int i = 0; i < problem_.system.state_size(mode); ++i) {
+      names.push_back(before + problem_.system.functions().StateName(mode, i));
+    }
+  };
+  const auto add = [&](const std::vector<std::string>& given, int count, const char* otherwise) {
+    for (int i = 0; i < count; ++i) {
+      names.push_back(given.empty() ? otherwise + ("[" + std::to_string(i) + "]") : given[i]);
+    }
+  };
+  if (term.with_state) add_states(ModeOf(place), "");
+  if (term.with_initial) add_states(input_.mode, "initial ");
+  if (term.with_control) add(layout.control_names, layout.num_controls, "u");
+  if (term.with_parameters) add(layout.parameter_names, layout.num_parameters, "p");
+  if (term.with_time) names.emplace_back("t");
+  if (term.with_length) names.emplace_back("h");
+  return names;
+}
+
+Eigen::VectorXd HybridShooting::ChangeAt(const Place& place, const HybridSensitivity* motion,
+                                         const std::vector<double>& direction) {
+  const std::vector<int>& sizes = place.function->parameter_block_sizes();
+  Values one;
+  for (const int size : sizes) one.jacobians.emplace_back(size);
+  Eigen::VectorXd change = Eigen::VectorXd::Zero(std::accumulate(sizes.begin(), sizes.end(), 0));
+  Eigen::Index row = 0;
+  for (std::vector<double>& block : one.jacobians) {
+    for (double& number : block) {
+      number = 1;
+      Derivative of_number = MakeUndefinedDerivative();
+      PullBack(place, one, Eigen::RowVectorXd::Ones(1), &of_number);
+      const HybridGradient by = TotalOf(std::move(of_number), motion);
+      for (std::size_t j = 0; j < variables_.size(); ++j) change[row] += variables_[j].Access(by) * direction[j];
+      number = 0;
+      ++row;
+    }
+  }
+  return change;
+}
+
+// Costs whose slopes differ from side to side of the motion, as the variables change along a direction.
+std::string HybridShooting::DescribeLossKinks() {
+  std::vector<double> direction;
+  NormalStream random(1);
+  for (std::size_t j = 0; j < variables_.size(); ++j) direction.push_back(random.Next());
+  std::optional<HybridSensitivity> motion;
+  std::string remark;
+  const HybridTerm* last = nullptr;  // that was named
+  for (const Place& place : places_) {
+    const auto* cost = dynamic_cast<const RecordedCost*>(place.function.get());
+    if (cost == nullptr || !place.term->IsCost() || place.term == last) continue;
+    const std::vector<const double*> blocks = BlocksOf(place);
+    const std::vector<std::string> names = cost->UndecidedAt(blocks, NamesAt(place));
+    Values values;
+    if (names.empty() || !ValuesAt(place, true, &values)) continue;
+    if (!motion) motion = simulator_.Sensitivity(!problem_.free.parameters.empty());
+    const bool forward = place.event < 0 || !place.term->before;
+    const Eigen::VectorXd change = ChangeAt(place, forward ? &*motion : nullptr, direction);
+    if (!change.allFinite()) continue;
+    Eigen::VectorXd here(change.size()), slope = Eigen::VectorXd::Zero(1);
+    const auto loss_of = [&](std::span<const double> residuals) {
+      double loss = 0;
+      for (const double residual : residuals) loss += place.term->LossOf(residual);
+      return Eigen::VectorXd::Constant(1, loss);
+    };
+    Eigen::Index begin = 0;
+    for (std::size_t i = 0; i < blocks.size(); ++i) {
+      const auto size = static_cast<Eigen::Index>(cost->parameter_block_sizes()[i]);
+      const auto rows = static_cast<Eigen::Index>(values.residuals.size());
+      here.segment(begin, size) = Eigen::Map<const Eigen::VectorXd>(blocks[i], size);
+      const Eigen::VectorXd of_block =
+          Eigen::Map<const Matrix>(values.jacobians[i].data(), rows, size) * change.segment(begin, size);
+      for (Eigen::Index row = 0; row < rows; ++row) {
+        slope[0] += place.term->SlopeOf(values.residuals[row]) * of_block[row];
+      }
+      begin += size;
+    }
+    const auto beside = [&](double part) -> std::optional<Eigen::VectorXd> {
+      const Eigen::VectorXd there = here + part * change;
+      std::vector<const double*> moved;
+      std::vector<double> residuals(values.residuals.size());
+      const double* next = there.data();
+      for (const int size : cost->parameter_block_sizes()) {
+        moved.push_back(next);
+        next += size;
+      }
+      cost->Evaluate(moved.data(), residuals.data(), nullptr);
+      return loss_of(residuals);
+    };
+    if (!HasKinkAlong(loss_of(values.residuals), slope, (1 + here.norm()) / (1 + change.norm()), beside)) continue;
+    last = place.term;
+    remark += (remark.empty() ? "" : "; ") + last->name + " is not smooth " + DescribePlace(place) + ", where " +
+              Joined(names, ", ", "'") + (names.size() == 1 ? " is" : " are") +
+              " zero: its derivatives differ from side to side";
+  }
+  return remark;
+}
+
+std::string HybridShooting::DescribeJumpsAndKinks(double loss) {
+  std::string remark = DescribeLossJumps(loss);
+  const std::string kinks = DescribeLossKinks();
+  return remark + (remark.empty() || kinks.empty() ? "" : "; ") + kinks;
+}
+
 std::string HybridShooting::TermsWithoutEvents() const {
   std::string remark;
   for (const HybridTerm& term : problem_.terms) {
@@ -314,11 +432,7 @@ bool HybridShooting::ValuesAt(const Place& place, bool with_jacobians, Values* v
 
 // Describes the place where a term is evaluated, such as "at t = 1 in mode 'flight'".
 std::string HybridShooting::DescribePlace(const Place& place) const {
-  const HybridEvent* event = place.event >= 0 ? &Events()[place.event] : nullptr;
-  const int mode = event == nullptr     ? ModeAt(place.interval >= 0 ? place.interval : input_.num_intervals)
-                   : place.term->before ? event->mode
-                                        : event->next_mode;
-  return "at t = " + ToText(place.time, 10) + " in mode '" + problem_.system.ModeName(mode) + "'";
+  return "at t = " + ToText(place.time, 10) + " in mode '" + problem_.system.ModeName(ModeOf(place)) + "'";
 }
 
 bool HybridShooting::FailAt(const Place& place) {

@@ -93,8 +93,9 @@ class HybridShooting : public ShootingFunction {
   // crosses the beginning of an interval, where the term reads the state before the event or behind it; nullptr if none
   // does.
   const HybridTerm* FindJumpingTerm(int event, int interval, double loss) const;
-  // Returns a remark on the events of the last motion at which the loss jumps so; empty if there are none.
-  std::string DescribeLossJumps(double loss) const;
+  // Returns a remark on the events of the last motion at which the loss jumps so, and on recorded costs that have a
+  // kink where the motion is; empty if there are none.
+  std::string DescribeJumpsAndKinks(double loss);
   // Returns a remark on the terms at events of which the last motion has none; empty if there are none.
   std::string TermsWithoutEvents() const;
 
@@ -147,6 +148,13 @@ class HybridShooting : public ShootingFunction {
   void PullBack(const Place& place, const Values& values, const Eigen::RowVectorXd& weights, Derivative* sum) const;
   // Returns the derivative by all of the input: by the sensitivities of the motion, or by an adjoint without these.
   HybridGradient TotalOf(Derivative of, const HybridSensitivity* motion);
+  std::string DescribeLossJumps(double loss) const;
+  std::string DescribeLossKinks();
+  // Returns the change of the numbers that a term reads at a place, as the variables change along a direction.
+  // `motion`: as of TotalOf().
+  Eigen::VectorXd ChangeAt(const Place& place, const HybridSensitivity* motion, const std::vector<double>& direction);
+  std::vector<std::string> NamesAt(const Place& place) const;
+  int ModeOf(const Place& place) const;
   std::string DescribePlace(const Place& place) const;
   // Keep the reason, as Fail() does.
   bool FailAt(const Place& place);

@@ -416,15 +416,35 @@ int MotionDerivatives::PieceBeside(ModePoint at, const RungeKutta::Tangent& dire
   return at.mode;
 }
 
+bool HasKinkAlong(const Eigen::VectorXd& here, const Eigen::VectorXd& slope, double size,
+                  const std::function<std::optional<Eigen::VectorXd>(double)>& value) {
+  constexpr double kBeside = 1e-6, kNearer = 1e-7;  // of the size
+  constexpr double kChange = 1e-5, kRemains = 0.5;  // of the slopes, and of their difference at kBeside
+  constexpr double kRounding = 1e-14;               // of the value
+  double difference[2] = {}, known = 0;
+  for (const int i : {0, 1}) {
+    const double part = (i == 0 ? kBeside : kNearer) * size;
+    std::vector<Eigen::VectorXd> slopes = {slope};
+    for (const double moved : {-part, part}) {
+      const std::optional<Eigen::VectorXd> there = value(moved);
+      if (!there) return true;
+      slopes.emplace_back((*there - here) / moved);
+    }
+    known = kRounding * here.lpNorm<Eigen::Infinity>() / part;
+    for (const Eigen::VectorXd& one : slopes) {
+      difference[i] = std::max(difference[i], (one - slope).lpNorm<Eigen::Infinity>());
+      known = std::max(known, kChange * one.lpNorm<Eigen::Infinity>());
+    }
+  }
+  return difference[0] > known && difference[1] > known && difference[1] >= kRemains * difference[0];
+}
+
 // Whether the slopes of a function along one of the directions differ from one side of a point to the other, or from
 // its derivative there, and do not approach each other nearer to it. `jacobian`: by [x t p] or [x t p u], row by row.
 // Functions that jump on a switch, as where it stops a motion, are compared on it alone.
 bool MotionDerivatives::HasKink(const ModePoint& at, const RungeKutta::Tangent& directions, const double* jacobian,
                                 bool reads_control, const std::function<Value(const ModePoint&)>& value) {
-  constexpr double kBeside = 1e-6, kNearer = 1e-7;  // of the size of the state and the parameters
-  constexpr double kChange = 1e-5, kRemains = 0.5;  // of the slopes, and of their difference at kBeside
-  constexpr double kRounding = 1e-14;               // of the value
-  constexpr double kSameValue = 1e-9;               // likewise, on both sides of a switch where it does not jump
+  constexpr double kSameValue = 1e-9;  // of the value, on both sides of a switch where it does not jump
   using Vector = Eigen::VectorXd;
   const Eigen::Map<const Vector> x(at.x, directions.x.rows()), p(at.p, directions.p.rows()),
       u(at.u, directions.u.rows());
@@ -454,23 +474,12 @@ bool MotionDerivatives::HasKink(const ModePoint& at, const RungeKutta::Tangent& 
                  kSameValue * (there.numbers.lpNorm<Eigen::Infinity>() + here.numbers.lpNorm<Eigen::Infinity>());
     };
     const bool moves = (sides[0] != at.mode || sides[1] != at.mode) && !std::ranges::any_of(sides, jumps);
-    double difference[2] = {}, known = 0;
-    for (const int i : {0, 1}) {
-      const double part = (i == 0 ? kBeside : kNearer) * size;
-      std::vector<Vector> slopes = {by_directions.col(column)};
-      for (const int side : {0, 1}) {
-        const double moved = side == 0 ? -part : part;
-        const Value there = value_at(moves ? sides[side] : at.mode, moved);
-        if (there.mode != here.mode || there.numbers.size() != here.numbers.size()) return true;
-        slopes.emplace_back((there.numbers - here.numbers) / moved);
-      }
-      known = kRounding * here.numbers.lpNorm<Eigen::Infinity>() / part;
-      for (const Vector& slope : slopes) {
-        difference[i] = std::max(difference[i], (slope - slopes.front()).lpNorm<Eigen::Infinity>());
-        known = std::max(known, kChange * slope.lpNorm<Eigen::Infinity>());
-      }
-    }
-    if (difference[0] > known && difference[1] > known && difference[1] >= kRemains * difference[0]) return true;
+    const auto beside = [&](double part) -> std::optional<Vector> {
+      Value there = value_at(moves ? sides[part > 0 ? 1 : 0] : at.mode, part);
+      if (there.mode != here.mode || there.numbers.size() != here.numbers.size()) return std::nullopt;
+      return std::move(there.numbers);
+    };
+    if (HasKinkAlong(here.numbers, by_directions.col(column), size, beside)) return true;
   }
   return false;
 }

@@ -11,7 +11,9 @@
 // Precondition: an input has all numbers of its control.
 #pragma once
 
+#include <Eigen/Core>
 #include <functional>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -21,6 +23,13 @@
 #include "saltus/hybrid/hybrid_simulator.h"
 
 namespace saltus {
+
+// Whether the slopes of a function along a line differ from one side of a point to the other, or from `slope`, its
+// derivative there, and do not approach each other nearer to it. `here`: its values at the point. `size`: of a part of
+// the line by which the numbers there change by as much as they are. `value`: returns the values at a part of the line,
+// or nothing where the function jumps.
+bool HasKinkAlong(const Eigen::VectorXd& here, const Eigen::VectorXd& slope, double size,
+                  const std::function<std::optional<Eigen::VectorXd>(double)>& value);
 
 class MotionDerivatives {
  public:

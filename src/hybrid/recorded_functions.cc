@@ -1292,6 +1292,19 @@ RecordedCost::RecordedCost(RecordedFunction function, const std::vector<int>& bl
   CHECK_LE(block_sizes.size(), kMostBlocks);
   *mutable_parameter_block_sizes() = block_sizes;
   set_num_residuals(function_.num_outputs());
+  if (!function_.MayBreak()) return;
+  constexpr int kNoStates = -1;  // no input changes along a motion
+  conditions_ = std::make_shared<RecordedSwitches>(std::vector{&function_.recording()}, kNoStates);
+}
+
+std::vector<std::string> RecordedCost::UndecidedAt(const std::vector<const double*>& blocks,
+                                                   std::span<const std::string> names) const {
+  if (conditions_ == nullptr) return {};
+  std::vector<double> inputs;
+  for (std::size_t i = 0; i < blocks.size(); ++i) {
+    inputs.insert(inputs.end(), blocks[i], blocks[i] + parameter_block_sizes()[i]);
+  }
+  return conditions_->UndecidedAt(inputs, {}, names);
 }
 
 bool RecordedCost::Evaluate(double const* const* parameters, double* residuals, double** jacobians) const {

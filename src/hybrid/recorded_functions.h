@@ -324,10 +324,15 @@ class RecordedCost final : public ceres::CostFunction {
   // Preconditions: the sizes of the blocks, at most kMostBlocks, add up to the number of inputs.
   RecordedCost(RecordedFunction function, const std::vector<int>& block_sizes);
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override;
+  // Returns the numbers that decide about the residuals and are zero at these blocks, as formulas in the names of what
+  // it reads.
+  std::vector<std::string> UndecidedAt(const std::vector<const double*>& blocks,
+                                       std::span<const std::string> names) const;
 
  private:
   static constexpr std::size_t kMostBlocks = 8;
   const RecordedFunction function_;
+  std::shared_ptr<const RecordedSwitches> conditions_;  // null: it has none
 };
 
 }  // namespace saltus

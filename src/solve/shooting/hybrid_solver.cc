@@ -96,7 +96,7 @@ class HybridRun final : public ShootingRun {
     if (termination == Termination::kFailed || !shooting_.Evaluate(z, &loss, nullptr)) return "";
     report_.solution.integration_error = shooting_.simulator().IntegrationError();
     std::string why = shooting_.simulator().ReasonNotDifferentiable();
-    const std::string jumps = shooting_.DescribeLossJumps(loss);
+    const std::string jumps = shooting_.DescribeJumpsAndKinks(loss);
     if (!jumps.empty()) why += (why.empty() ? "" : "; ") + jumps;
     const std::string near = EventsNearJumps(shooting_.simulator(), shooting_.InputAt(z));
     if (near.empty() || why.find("control jumps") != std::string::npos) return why;
