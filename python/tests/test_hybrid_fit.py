@@ -291,3 +291,24 @@ def test_problems_without_data_alone_are_refused():
         saltus.identify("scene.yaml", "a.csv", parameters=["e"])
     with pytest.raises(TypeError, match="recordings: found none"):
         saltus.identify("scene.yaml")
+
+
+@pytest.mark.parametrize("solver", ["ceres_phases", "auto"])
+def test_a_control_that_is_not_free_stays_as_it_is(solver):
+    ball = saltus.HybridSystem(
+        states={"flight": ["y", "v"]}, controls=["u"], parameters=["g", "e", "d"],
+        flow={"flight": lambda x, u, p: [x[1], -p[0] - p[2] * x[1] + u[0]]},
+        guards={"flight": {"ground": lambda x: x[0]}}, resets={"flight": {"ground": lambda x, p: ("flight", [0, -p[1] * x[1]])}})
+
+    def motion(parameters, duration, intervals, costs=()):
+        return saltus.HybridProblem(ball, mode="flight", initial=[1, 0], parameters=parameters, duration=duration,
+                                    control=np.zeros((intervals, 1)), costs=list(costs))
+
+    times = np.arange(1, 21) / 10
+    heights = [saltus.rollout(motion([9.7, 0.75, 0.1], time, 1)).final[0] for time in times]
+    heights += 0.005 * np.random.default_rng(0).normal(size=20)
+    data = saltus.measurements(list(times), list(heights), ["y"], sigma=0.005)
+    run = saltus.solve(motion([9.81, 0.8, 0.1], 2, 20, [data]), solver=solver, optimize=["g", "e", "d"])
+    assert not run.control.any()
+    fitted = motion(run.parameters, 2, 20, [data])
+    assert saltus.loss_and_gradient(fitted).loss == pytest.approx(run.loss, rel=1e-9)

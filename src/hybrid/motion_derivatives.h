@@ -87,7 +87,7 @@ class MotionDerivatives {
   std::vector<std::string> UndecidedAt(const ModePoint& at) const;
   bool StaysAtZero(const ModePoint& at, int guard, const std::vector<double>& slope) const;
   int PieceBeside(ModePoint at, const RungeKutta::Tangent& directions, Eigen::Index column, double sign);
-  // What a function returns at a point, and the mode to which it leads if it is a reset.
+  // The numbers that a function returns at a point, and the mode to which it leads if it is a reset.
   struct Value {
     int mode = 0;
     Eigen::VectorXd numbers;

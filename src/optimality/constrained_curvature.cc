@@ -245,8 +245,6 @@ class CondensedForm {
     const MatrixXd divided = metric_of_variables_.solve(of_variables.transpose());
     const LeastCurvature least =
         FindLeastCurvature(Multiply(of_variables, divided), Multiply(MultiplyTransposed(image, Form()), image), kept);
-    const bool has_others = least.rank < of_variables.cols();  // directions that no functional notices
-    if (least.source.size() == 0 && !has_others) return std::nullopt;
     ConstrainedCurvature found{1, 1, VectorXd::Zero(metric_.rows())};
     VectorXd along;
     if (least.source.size() > 0) {
@@ -254,13 +252,19 @@ class CondensedForm {
       found.largest = 1 + least.largest;
       along = divided * least.source;
     }
-    if (has_others && !(found.smallest < 1)) {
-      found.smallest = 1;
-      found.largest = std::max(found.largest, 1.0);
+    if (least.rank < of_variables.cols() && !(found.smallest < 1)) {
+      // Along directions that no functional notices the curvature is 1. There is none if the functionals are as many as
+      // the variables, and some of them are small but not zero.
       const Eigen::Index few = std::min(of_variables.cols(), all + 1);
-      along = VectorXd::Zero(of_variables.cols());
-      along.head(few) = NullSpace(of_variables.leftCols(few)).col(0);
+      const MatrixXd others = NullSpace(of_variables.leftCols(few));
+      if (others.cols() > 0) {
+        found.smallest = 1;
+        found.largest = std::max(found.largest, 1.0);
+        along = VectorXd::Zero(of_variables.cols());
+        along.head(few) = others.col(0);
+      }
     }
+    if (along.size() == 0) return std::nullopt;
     found.direction(variables_) = along;
     found.direction(times_) = -solved * (of_variables.bottomRows(held) * along);
     for (const DefinedUnknown& state : defined_) {

@@ -80,7 +80,8 @@ class IntervalGaps {
   std::optional<double> LeastIn(const Stretch& stretch, const GapPair& pair) const;
 
  private:
-  // Those of a disc that are known, the first of them before its impacts and the last one behind; returns their number.
+  // Finds the legs of a disc that are known, the first of them before its impacts and the last one behind. Returns
+  // their number.
   int FindLegs(int i, std::array<Leg, 3>* legs) const;
   Vec2d VelocityIn(const Leg& leg, int i, double t) const { return leg.velocity + (t - leg.time) * accelerations_[i]; }
   Vec2d PositionIn(const Leg& leg, int i, double t) const {

@@ -89,6 +89,44 @@ TEST(ConstrainedCurvature, OfFewFunctionalsAgreesWithDenseEigenvalues) {
   }
 }
 
+// A chain of integrators with a cost of each state: the functionals are as many as the variables, and the first ones
+// hardly notice these.
+TEST(ConstrainedCurvature, OfFunctionalsThatHardlyNoticeVariablesAgreesWithDenseEigenvalues) {
+  for (const int order : {2, 3, 4}) {
+    for (int variables = 10; variables <= 120; variables += 10) {
+      const int states = order * variables, n = variables + states;
+      const double h = 1.5 / variables;
+      MatrixXd metric = MatrixXd::Zero(n, n), equations = MatrixXd::Zero(states, n);
+      metric.topLeftCorner(variables, variables) = 0.05 * h * MatrixXd::Identity(variables, variables);
+      MatrixXd hessian = metric;
+      std::vector<DefinedUnknown> defined;
+      for (int k = 0; k < variables; ++k) {
+        for (int i = 0; i < order; ++i) {  // the i-th integral after interval k
+          const int row = k * order + i;
+          defined.push_back({variables + row, row});
+          equations(row, variables + row) = -1;
+          double taylor = 1;  // h^j / j!
+          for (int j = 0; j <= i; taylor *= h / ++j) {
+            if (k > 0) equations(row, variables + row - order - j) = taylor;
+          }
+          equations(row, k) = taylor;
+        }
+        hessian(variables + k * order + order - 1, variables + k * order + order - 1) = h;
+      }
+      const MatrixXd of_states = -equations.rightCols(states).partialPivLu().solve(equations.leftCols(variables));
+      const MatrixXd all = hessian.topLeftCorner(variables, variables) +
+                           of_states.transpose() * hessian.bottomRightCorner(states, states) * of_states;
+      const Eigen::SelfAdjointEigenSolver<MatrixXd> dense(all / (0.05 * h));
+      const auto found =
+          FindConstrainedCurvature(hessian.sparseView(), equations.sparseView(), metric.sparseView(), defined);
+      ASSERT_TRUE(found) << order << " " << variables;
+      const double largest = dense.eigenvalues().tail<1>()[0];
+      EXPECT_NEAR(found->smallest, dense.eigenvalues()[0], 1e-9 * largest) << order << " " << variables;
+      EXPECT_NEAR(found->largest, largest, 1e-9 * largest) << order << " " << variables;
+    }
+  }
+}
+
 // The Hessian of the control's effort alone is the metric.
 TEST(ConstrainedCurvature, IsOneWhereTheHessianIsTheMetricAndNothingIsHeld) {
   const MatrixXd metric = MatrixXd::Identity(3, 3), none(0, 3);

@@ -670,7 +670,7 @@ std::vector<HybridMotion> HybridPhaseRun::SearchBothSides(const HybridMotion& mo
   for (const double u : motion.control) size = std::max(size, std::abs(u));
   const auto move = [&](double length, HybridMotion* moved) {
     auto next = direction.begin();
-    for (double& u : moved->control) u += length * *next++;
+    for (double& u : moved->control) u += (problem_.free.control ? length : 0.0) * *next++;
     for (const int i : problem_.free.initial) moved->initial[i] += length * *next++;
     for (const int i : problem_.free.parameters) moved->parameters[i] += length * *next++;
     if (problem_.free.duration) {

@@ -135,7 +135,7 @@ std::string UnsupportedByLbfgs(const HybridProblem& problem) {
   return UnsupportedByShooting(problem);
 }
 
-// Of all constraints and costs that have rows of their own.
+// Returns which term has rows whose number changes with the motion; empty if there is none.
 std::string UnsupportedByRows(const HybridProblem& problem) {
   for (const HybridTerm& term : problem.terms) {
     const bool at_each_event = term.at == HybridTerm::Timing::kEvent && term.occurrence < 0;
