@@ -253,16 +253,14 @@ class CondensedForm {
       along = divided * least.source;
     }
     if (least.rank < of_variables.cols() && !(found.smallest < 1)) {
-      // Along directions that no functional notices the curvature is 1. There is none if the functionals are as many as
-      // the variables, and some of them are small but not zero.
+      // Along directions that functionals do not notice, or hardly, the curvature is 1.
       const Eigen::Index few = std::min(of_variables.cols(), all + 1);
-      const MatrixXd others = NullSpace(of_variables.leftCols(few));
-      if (others.cols() > 0) {
-        found.smallest = 1;
-        found.largest = std::max(found.largest, 1.0);
-        along = VectorXd::Zero(of_variables.cols());
-        along.head(few) = others.col(0);
-      }
+      const MatrixXd noticed = of_variables.leftCols(few), unnoticed = NullSpace(noticed);
+      found.smallest = 1;
+      found.largest = std::max(found.largest, 1.0);
+      along = VectorXd::Zero(of_variables.cols());
+      along.head(few) = unnoticed.cols() > 0 ? VectorXd(unnoticed.col(0))
+                                             : VectorXd(EigenOf(MultiplyTransposed(noticed, noticed)).vectors.col(0));
     }
     if (along.size() == 0) return std::nullopt;
     found.direction(variables_) = along;
