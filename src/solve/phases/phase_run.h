@@ -91,7 +91,7 @@ class PhaseRun final : public SequenceRun, private DiscMotions {
 
   // Whether the conditions of the certificate are those of this problem.
   bool HasCertificate() const;
-  // Whether an optimum is certified, and its certificate says that it is none.
+  // Whether an optimum is certified, and its certificate refutes it.
   bool IsRefuted(const Trial& optimum) {
     return certifies() && Certify(optimum).verdict == Certificate::Verdict::kNotStationary;
   }

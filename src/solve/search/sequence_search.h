@@ -44,9 +44,8 @@
 //   starts_of_sequence()                       the motions from which a sequence is tried
 //   AllCostsAreSquares(), LossForUser(loss), OptimumOf(trial), kLeftOut
 //   descends_from_guess()                      whether solves begin at ends of descents from the guess, too
-//   by_arcs()                                  whether usual solves take phases in closed form, whose intervals are
-//   shared
-//                                              between them at the end
+//   by_arcs()                                 whether usual solves are in closed form; their intervals are shared
+//                                              between phases at the end
 #pragma once
 
 #include <algorithm>
